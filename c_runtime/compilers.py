@@ -3,11 +3,14 @@
 import ctypes
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,13 +35,19 @@ RUNTIME_FILES = (
     INCLUDE_DIRECTORY / "zd_layer_norm.h",
     RUNTIME_DIRECTORY / "src" / "zd_runtime.c",
 )
-"""What has to lie beside a generated model."""
+"""What a generated model may include, with what it is linked with; `list_runtime` says which."""
+_INCLUDED = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"(zd_\w+\.h)"', re.MULTILINE)
 
 HOST_MVE_DIRECTORY = RUNTIME_DIRECTORY / "host_mve"
 """Holds arm_mve.h for a host, by which the rows kernel runs there."""
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
 
+
+LEAST_ROOM = 2**20
+"""Bytes: a model's object files and library together, with debug information, are smaller."""
+_NO_ROOM = ("No space left on device", "NoSpaceLeft", "Disk quota exceeded", "File too large")
+"""What compilers print of a disk that is full: of the system's errors ENOSPC, EDQUOT, EFBIG."""
 
 SANITIZE = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
 """What makes undefined behaviour end a program by a signal; no compiler's library is needed."""
@@ -55,6 +64,7 @@ class Compiler:
         """Compile.
 
         Raises:
+            InputError: the disk has no room for what it makes.
             CheckError: the compiler failed; carries what it said.
         """
         done = subprocess.run(
@@ -66,6 +76,13 @@ class Compiler:
             env=make_environment(),
         )
         if done.returncode != 0:
+            places = [Path(word) for word in arguments if os.path.isabs(word)]  # noqa: PTH117
+            if (full := find_full(places, done.stderr)) is not None:
+                raise InputError(
+                    f"{full}: the compiler could not write there (no space left on the disk);"
+                    f" expected {LEAST_ROOM // 2**20} MiB of room at least. Make room on that disk"
+                    " and run the command again. Every file is as it was before."
+                )
             raise CheckError(
                 f"{shlex.join([*self.command, *arguments])} failed with exit code"
                 f" {done.returncode}:\n{done.stderr[:4000]}"
@@ -78,6 +95,45 @@ class Compiler:
         )
         lines = done.stdout.splitlines()
         return lines[0].strip() if lines else self.name
+
+
+def list_runtime(*texts: str) -> dict[str, str]:
+    """Return the runtime that has to lie beside C: name -> text.
+
+    Args:
+        texts: the C. What it includes is followed, and what that includes, under any condition.
+    """
+    every = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    found = {name: text for name, text in every.items() if name.endswith(".c")}
+    left = [*texts, *found.values()]
+    while left:
+        for name in _INCLUDED.findall(left.pop()):
+            if name in every and name not in found:
+                found[name] = every[name]
+                left.append(every[name])
+    return {name: text for name, text in every.items() if name in found}
+
+
+def find_full(places: Iterable[Path], told: str) -> Path | None:
+    """Return the folder whose disk was full while a compiler worked; None if none was.
+
+    A compiler that cannot write may say so, or be aborted without a word, or say what the linker
+    made of a file that was cut off; so the disk is asked too.
+
+    Args:
+        places: files that it read and wrote.
+        told: what it printed.
+    """
+    folders = dict.fromkeys([*(place.parent for place in places), Path(tempfile.gettempdir())])
+    room: dict[Path, int] = {}
+    for folder in folders:
+        with suppress(OSError):
+            room[folder] = shutil.disk_usage(folder).free
+    if not room:
+        return None
+    least = min(room, key=room.__getitem__)
+    is_told = any(words in told for words in _NO_ROOM)
+    return least if is_told or room[least] < LEAST_ROOM else None
 
 
 def can_sanitize(compiler: Compiler, folder: Path) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
-from zerodrift.c_runtime.compilers import RUNTIME_FILES, WARNINGS, Compiler, find_compiler
+from zerodrift.c_runtime.compilers import WARNINGS, Compiler, find_compiler, list_runtime
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
@@ -315,7 +315,7 @@ def render_sources(code: GeneratedCode) -> dict[str, str]:
     """Return model and runtime by the name of the file."""
     runtime = code.runtime
     if runtime is None:
-        runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+        runtime = list_runtime(code.header, code.source)
     return {code.header_name: code.header, code.source_name: code.source, **runtime}
 
 

@@ -10,8 +10,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from zerodrift.c_runtime.compilers import WARNINGS, Compiler, find_compiler
-from zerodrift.c_runtime.host import HostModel, write_sources
+from zerodrift.c_runtime.compilers import WARNINGS, Compiler, find_compiler, list_runtime
+from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 
@@ -56,7 +56,9 @@ def build_host_batch(
         for name, text in {**texts, HARNESS: code.harness}.items():
             (folder / name).write_text(text, encoding="utf-8")
         lines.append(include_renamed(code, number))
-    write_sources(codes[0], runtime)
+    files = list_runtime(*(text for code in codes for text in (code.header, code.source)))
+    for name, text in files.items():
+        (runtime / name).write_text(text, encoding="utf-8")
     together = directory / "together.c"
     together.write_text("\n".join(lines), encoding="utf-8")
     common = [*WARNINGS, *flags, "-fPIC", f"-I{runtime}"]

@@ -12,6 +12,8 @@ PLACEHOLDER = "ZD_CODE_ID_UNKNOWN"
 NO_IDENTITY = "@IDENTITY@"
 """Stands in the runtime's files until theirs is known."""
 _CODE_ID = re.compile(r"(?<=_CODE_ID )(!= )?(UINT32_C\(\d+\)|\d+)")
+_LISTED = re.compile(r"(\n \* [^\n]*hash of its text:\n)((?: \* zd_\w+\.[ch] \w{8}\n)*)( \*/)")
+_LINE = re.compile(r" \* (\S+) (\w{8})\n")
 _RUNTIME_ID = re.compile(r"#define ZD_RUNTIME_ID 0x(\w{8})")
 
 
@@ -50,11 +52,33 @@ def read_code_identities(*texts: str) -> list[int]:
 
 
 def identify_runtime(texts: Mapping[str, str]) -> dict[str, str]:
-    """Return the runtime's files, name -> text, with the identity that they have together."""
+    """Return a runtime's files, name -> text, with the identity that they have together.
+
+    `zd_runtime.h` lists the files and their hashes, by which any part of them is held against the
+    identity of the whole. The runtimes of earlier versions have no list, and lie there as a whole.
+
+    Args:
+        texts: all of its files, or those that a model includes.
+    """
     before = read_runtime_identity(texts).removeprefix("0x")
     bare = {n: text.replace(before, NO_IDENTITY) if before else text for n, text in texts.items()}
-    digest = hashlib.sha256()
-    for name in sorted(bare):
-        digest.update(f"{name}\0{bare[name]}\0".encode())
-    identity = digest.hexdigest()[:8]
+    listed = _LISTED.search(bare.get(_RUNTIME.name, ""))
+    if listed is None:
+        identity = _hash_together(bare)
+    else:
+        bare[_RUNTIME.name] = _LISTED.sub(r"\1\3", bare[_RUNTIME.name])
+        hashes = dict(_LINE.findall(listed[2]))
+        hashes |= {name: hashlib.sha256(t.encode()).hexdigest()[:8] for name, t in bare.items()}
+        own = hashes.pop(_RUNTIME.name)
+        lines = "".join(f" * {name} {digest}\n" for name, digest in sorted(hashes.items()))
+        identity = hashlib.sha256(f"{own}\n{lines}".encode()).hexdigest()[:8]
+        bare[_RUNTIME.name] = _LISTED.sub(rf"\1{lines}\3", bare[_RUNTIME.name])
     return {name: text.replace(NO_IDENTITY, identity) for name, text in bare.items()}
+
+
+def _hash_together(texts: Mapping[str, str]) -> str:
+    """Return the identity of a runtime without a list."""
+    digest = hashlib.sha256()
+    for name in sorted(texts):
+        digest.update(f"{name}\0{texts[name]}\0".encode())
+    return digest.hexdigest()[:8]

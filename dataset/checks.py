@@ -1,5 +1,6 @@
 """Checks of a log's values: vectorised first; only a failed check looks for the line."""
 
+import json
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,6 +11,7 @@ from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import LogTable
 from zerodrift.dataset.time_units import write_local
+from zerodrift.dataset.times import find_zone
 from zerodrift.dataset.units import read_unit
 
 Mask = NDArray[np.bool_]
@@ -22,7 +24,6 @@ COLDEST_DEGC = -200.0
 HOTTEST_DEGC = 500.0
 LARGEST = 1e30
 """No measured value is larger, in any unit; powers of it stay finite in double precision."""
-HOUR_S = 3600.0
 SKIP = "or pass --skip-invalid to drop"
 
 
@@ -176,10 +177,12 @@ def check_time(table: LogTable, column: str, start: int, stop: int) -> None:
     is_local = table.clock is not None and table.clock.kind == "local"
     told = [write_local(time) if is_local else f"{time:.10g}" for time in (before, now)]
     hint = ""
-    if is_local and before - now <= HOUR_S:
+    if table.clock is not None and is_local and (zone := find_zone(time_s[row - start - 1 :][:2])):
+        columns = table.clock.columns
+        named = json.dumps(list(columns) if len(columns) > 1 else columns[0], ensure_ascii=False)
         hint = (
             " If the clock was put back here in autumn, say where it stood: [sensor] time = "
-            f'{{ column = "{column}", zone = "Europe/Berlin" }}.'
+            f'{{ column = {named}, zone = "{zone}" }}.'
         )
     raise InputError(
         f"{place.text}: {column} goes back from {told[0]} to {told[1]}{'' if is_local else ' s'}; "

@@ -12,7 +12,14 @@ from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import COLDEST_DEGC, HOTTEST_DEGC
 from zerodrift.dataset.guess_inputs import choose_codes, choose_inputs, write_column
-from zerodrift.dataset.guess_runs import LogFiles, SurveyedFile, choose_runs, find_runs, pool_runs
+from zerodrift.dataset.guess_runs import (
+    FoundRun,
+    LogFiles,
+    SurveyedFile,
+    choose_runs,
+    find_runs,
+    pool_runs,
+)
 from zerodrift.dataset.join import propose_zone
 from zerodrift.dataset.roles import (
     INPUT,
@@ -28,6 +35,7 @@ from zerodrift.dataset.roles import (
 from zerodrift.dataset.sampling import look_at_sampling
 from zerodrift.dataset.survey import Times, words
 from zerodrift.dataset.time_units import FASTEST_S, SLOWEST_S, is_unix, read_time_unit
+from zerodrift.dataset.times import find_zone
 from zerodrift.dataset.units import read_unit, strip_unit
 
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
@@ -96,6 +104,8 @@ class Guess:
     codes: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     """Column of an input, or of another thermometer -> `raw` and `lsb` that hold all runs; none
     of the clock, which counts seconds."""
+    refused: str = ""
+    """Why the logs cannot be used as they are, where the proposal was tried; empty: they can."""
 
 
 def guess_project(
@@ -126,7 +136,7 @@ def guess_project(
         names = ", ".join(dict.fromkeys(unlike))
         checks.append(f"not every log has these columns, which were left out: {names}")
     alternatives: dict[str, tuple[str, ...]] = {}
-    time, by_file = _choose_time(files, period_s, alternatives, checks)
+    time, by_file = _choose_time(files, runs, period_s, alternatives, checks)
     thermometers = [
         (file, role)
         for file in files
@@ -235,6 +245,7 @@ def _name_channel(column: str) -> str:
 
 def _choose_time(
     files: Sequence[SurveyedFile],
+    runs: Sequence[FoundRun],
     period_s: float | None,
     alternatives: dict[str, tuple[str, ...]],
     checks: list[str],
@@ -265,7 +276,11 @@ def _choose_time(
         if times.config.columns != config.columns or times.config.unit != config.unit:
             by_file[file.name] = times.config
     zone = _choose_zone(timed)
-    if zone:
+    if not zone and (zone := _find_put_back(runs)):
+        checks.append(f"the clock goes back by an hour in the logs, as those of {zone} did")
+        alternatives["time"] = ("the zone by name in which the logger's clock stood",)
+        config = replace(config, zone=zone)
+    elif zone:
         checks.append(f"a clock without a zone is taken as {zone}, by which the files overlap best")
         alternatives["time"] = ("the zone by name, such as Europe/Berlin",)
         local = [file.name for file, times in timed if times.clock.kind == "local"]
@@ -273,6 +288,13 @@ def _choose_time(
         if any(name not in by_file for name in local):
             config = replace(config, zone=zone)
     return config, by_file
+
+
+def _find_put_back(runs: Sequence[FoundRun]) -> str:
+    """Return the zone of a local clock that was put back in some run; "" where none was."""
+    times = (file.survey.times for run in runs for file in run.files)
+    local = [each for each in times if each is not None and each.clock.kind == "local"]
+    return next((zone for each in local if (zone := find_zone(each.seconds))), "")
 
 
 def _choose_zone(timed: Sequence[tuple[SurveyedFile, Times]]) -> str:
@@ -328,6 +350,9 @@ def _choose_outputs(
                 f"taken as {reference:g}"
             )
         if not source:
+            alternatives[f"outputs.{short}.measured"] = (
+                "an input, a true value, or of no use: it moves, and nothing else claims it",
+            )
             alternatives[f"outputs.{short}.unit"] = ("V", "mV", "ohm", "N", "g", "ppm")
             checks.append(f"the log does not state the unit of {short}; taken as LSB")
         elif not column.unit:

@@ -4,7 +4,7 @@ Unlike a training log, it may lack readings, and it needs no reference.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +61,9 @@ class LogSteps:
     step_of_row: StepOfRow
     """[rows] the step that holds at each row of the file; -1 for a row that was dropped."""
     notes: tuple[str, ...]
+    quantities: Mapping[str, Array] = field(default_factory=dict)
+    """Measured column that is converted -> [rows] in the output's unit, NaN for rows that were
+    dropped; `source` has it as it was logged."""
 
     def drop_values(self) -> "LogSteps":
         """Return the log without the columns' values, which need memory; the steps remain."""
@@ -110,10 +113,14 @@ def read_log_steps(
     time = config.time_column
     needed = {time: "[sensor] time", **columns}
     table, spans = open_log(config, selection, skip_invalid, notes, needed, streamed)
-    measured = {output.measured for output in config.outputs}
-    if len(selection.files) > 1 or table.source.part or measured & {*table.converted}:
-        _make_source(table, path, measured)
+    if len(selection.files) > 1 or table.source.part:
+        _make_source(table, path)
     rows = len(table) if table.kept is None else int(table.kept.max()) + 1
+    measured = {output.measured for output in config.outputs}
+    quantities = {}
+    for column in measured & {*table.converted}:
+        quantities[column] = np.full(rows, np.nan)
+        quantities[column][table.positions] = table.columns[column]
     step_of_row: StepOfRow = np.full(rows, -1, dtype=np.int32)
     stretches: list[StepStretch] = []
     first = 0
@@ -141,16 +148,14 @@ def read_log_steps(
             step_of_row[at] += first
             stretches.append(StepStretch(run, stretch, first, part, bridge, float(time_s[start])))
             first += stretch.steps
-    return LogSteps(table.source, table, rows, tuple(stretches), first, step_of_row, tuple(notes))
+    return LogSteps(
+        table.source, table, rows, tuple(stretches), first, step_of_row, tuple(notes), quantities
+    )
 
 
-def _make_source(table: LogTable, path: Path, measured: set[str]) -> None:
-    """Write the joined rows as the log that is read row by row.
-
-    Converted columns stay as logged, except the outputs, which are compensated.
-    """
-    told = {name: own for name, own in table.logged.items() if name not in measured}
-    frame = pl.DataFrame({**table.columns, **told})
+def _make_source(table: LogTable, path: Path) -> None:
+    """Write the joined rows as the log that is read row by row; converted columns as logged."""
+    frame = pl.DataFrame({**table.columns, **table.logged})
     table.source = Source(path, path.name, tuple(frame.columns), {}, frame=frame)
     table.kept = None
 

@@ -55,9 +55,8 @@ def read_log(
             unread = frozenset() if is_whole else streamed.difference(config.conversions)
             clock = find_log_clock(config, source)
             table = read_table(source, needed, clock=clock, unread=unread)
-            is_rewritten = is_whole or any(o.measured in config.conversions for o in config.outputs)
             table = take_missing_out(config, table, {}, keep_rows=keep_logged)
-            return [_convert(config, table, keep_logged and is_rewritten)]
+            return [_convert(config, table, keep_logged and is_whole)]
     sources, refused = _open_all(config, files)
     wanted = {name: role for name, role in needed.items() if name != config.time_column}
     parts = _share_out(sources, wanted, files, refused, config)

@@ -143,6 +143,7 @@ def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:
     paths = _glob(directory, pattern)
     if not paths:
         raise NoLogsError(_explain_no_match(directory, pattern, where))
+    _refuse_lost(directory, pattern, text, paths, where)
     selections = []
     for path in paths:
         files = list_files(path)
@@ -173,6 +174,32 @@ def _find_part(directory: Path, name: str, where: str) -> Path:
     raise NoLogsError(_explain_no_match(directory, name, where))
 
 
+def _refuse_lost(directory: Path, pattern: str, text: str, paths: list[Path], where: str) -> None:
+    """Refuse a glob that matches files, and a folder too, of which nothing would be read.
+
+    Raises:
+        InputError: names the folder.
+    """
+    if all(path.is_dir() for path in paths):
+        return
+    taken = {file.parent for file in paths}
+    for path in _match(directory, pattern):
+        is_log = path.suffix.lower() in LOG_SUFFIXES or bool(path.is_dir() and list_files(path))
+        if path.is_dir() and is_log and not any(p == path or path in p.parents for p in taken):
+            raise InputError(
+                f"{where}: '{text}' selects files and the folder {path}, of which nothing would be"
+                " read; expected files alone, or folders alone, each of which is a run. Narrow the"
+                " glob; if the folder is a run, name it by itself too."
+            )
+
+
+def _match(directory: Path, pattern: str) -> list[Path]:
+    """Return everything that matches, sorted by name."""
+    # Path.glob refuses `..` and absolute patterns, which logs outside of the project need.
+    names = glob.glob(pattern, root_dir=directory, recursive=True)  # noqa: PTH207
+    return [directory / name for name in sorted(names)]
+
+
 def _glob(directory: Path, pattern: str) -> list[Path]:
     """Return the files that match, or else the folders with logs, sorted by name.
 
@@ -180,9 +207,7 @@ def _glob(directory: Path, pattern: str) -> list[Path]:
     """
     if (directory / pattern).is_file():
         return [directory / pattern]
-    # Path.glob refuses `..` and absolute patterns, which logs outside of the project need.
-    names = glob.glob(pattern, root_dir=directory, recursive=True)  # noqa: PTH207
-    found = [directory / name for name in sorted(names)]
+    found = _match(directory, pattern)
     files = [path for path in found if not path.is_dir()]
     return files or [path for path in found if list_files(path)]
 

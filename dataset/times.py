@@ -5,9 +5,13 @@ Seconds count from 1970 where the log says or implies which instant is meant (a 
 shows it; for a time of day, from the first midnight.
 """
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from zoneinfo import ZoneInfo, available_timezones
 
 import numpy as np
 import polars as pl
@@ -25,6 +29,7 @@ _SECONDS = "%S%.f"
 _SECONDS_AT = 17
 _EVEN = re.compile(r"(\d{4}[-/.]\d\d[-/.]\d\d|\d\d[-/.]\d\d[-/.]\d{4})[T ]\d\d:\d\d:\d\d([.,]\d+)?")
 SAMPLE = 64
+_EPOCH = datetime(1970, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -222,6 +227,39 @@ def place_in_zone(local_s: Array, zone: str, label: str, column: str) -> Array:
     if not twice.any():
         return np.where(finite, first, np.nan)
     return np.where(finite, _order_repeated(local_s, first, second, twice, zone, label), np.nan)
+
+
+def find_zone(local_s: Array) -> str:
+    """Return a zone whose clocks were put back where a local clock goes back; "" without any.
+
+    Of several the machine's own, then those of Berlin and New York, then the first by name.
+
+    Args:
+        local_s: times [n] by the log's clock, in s since 1970 as if it were UTC.
+    """
+    known = local_s[np.isfinite(local_s)]
+    back = np.flatnonzero(np.diff(known) < 0)
+    if not back.size:
+        return ""
+    ends = [_EPOCH + timedelta(seconds=float(known[at])) for at in (back[0], back[0] + 1)]
+    names = [*_list_own_zone(), "Europe/Berlin", "America/New_York", *sorted(available_timezones())]
+    return next((name for name in names if all(_is_twice(name, end) for end in ends)), "")
+
+
+def _list_own_zone() -> list[str]:
+    """Return the name of this machine's zone, where it has one."""
+    name = os.environ.get("TZ", "")
+    link = Path("/etc/localtime")
+    if not name and link.is_symlink():
+        name = os.fspath(link.readlink()).partition("zoneinfo/")[2]
+    return [name] if name in available_timezones() else []
+
+
+def _is_twice(name: str, local: datetime) -> bool:
+    """Tell whether a zone has a local time twice, before and after its clocks are put back."""
+    zone = ZoneInfo(name)
+    first, second = (local.replace(tzinfo=zone, fold=fold).utcoffset() for fold in (0, 1))
+    return first is not None and second is not None and first > second
 
 
 def _order_repeated(

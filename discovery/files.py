@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+from zerodrift.base.csv_text import render_rows
 from zerodrift.base.files import write_whole
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.programme import Log, SetProgramme
@@ -27,14 +28,12 @@ def render_table(plan: PlanSummary) -> str:
     inputs = list(dict.fromkeys(name for s in plan.programme for name in s.inputs))
     head = ["log", "from_s", "temperature_degC", "rate_K_per_min"]
     head += [f"{name}_{plan.units[name]}" for name in loads] + inputs
-    lines = [",".join(head)]
+    rows = []
     for s in plan.programme:
         values = [s.log, s.from_s, s.temperature_degC, s.rate_K_per_min]
         values += [s.loads[name] for name in loads] + [s.inputs[name] for name in inputs]
-        lines.append(
-            ",".join(f"{value:g}" if abs(value) < 1e5 else f"{value:.0f}" for value in values)
-        )
-    return "\n".join(lines) + "\n"
+        rows.append([f"{value:g}" if abs(value) < 1e5 else f"{value:.0f}" for value in values])
+    return render_rows(head, rows)
 
 
 def render_protocol(

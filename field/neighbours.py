@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
+from zerodrift.base.csv_text import render_rows
 from zerodrift.base.errors import InputError
 
 Array = NDArray[np.float64]
@@ -241,11 +242,11 @@ def render(kind: str, fitted: Polynomial, names: Sequence[str], device: int, hea
 def _render_table(fitted: Polynomial, names: Sequence[str]) -> str:
     orders = len(fitted.coefficients)
     head = ["output", "around_degC", "low_degC", "high_degC", *(f"c{i}" for i in range(orders))]
-    lines = [",".join(head)]
+    rows = []
     limits = (fitted.around_degC, fitted.low_degC, fitted.high_degC)
     for name, column in zip(names, fitted.coefficients.T, strict=True):
-        lines.append(",".join([name, *(f"{x:.17g}" for x in (*limits, *column))]))
-    return "\n".join(lines) + "\n"
+        rows.append([name, *(f"{x:.17g}" for x in (*limits, *column))])
+    return render_rows(head, rows)
 
 
 def _render_chrony(kind: str, fitted: Polynomial, comment: str) -> str:

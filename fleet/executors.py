@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Protocol
 
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.extras import FLEET, tell_install
 from zerodrift.base.threads import BLAS
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome
@@ -254,9 +255,8 @@ def import_ray() -> ModuleType:
         import ray
     except ImportError as error:
         raise InputError(
-            "--ray needs Ray, which is not installed. `pip install -r requirements-fleet.lock` in a"
-            " checkout, or `pip install zerodrift[fleet]`; without it, --jobs uses this machine's"
-            " cores."
+            f"--ray needs Ray, which is not installed. Run: {tell_install(FLEET.name)}. Without it,"
+            " --jobs uses this machine's cores."
         ) from error
     module: ModuleType = ray
     return module

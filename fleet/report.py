@@ -1,7 +1,5 @@
 """The yield report of a fleet: who passes, who does not and why, as JSON, CSV and Markdown."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Sequence
@@ -10,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.csv_text import render_rows
 from zerodrift.base.journal import write_all
 from zerodrift.base.records import to_dict
 from zerodrift.fleet.design import Design
@@ -251,9 +250,7 @@ def render_csv(report: FleetReport) -> str:
         ]
     units = {n: p.unit for r in results for n, p in r.parameters.items()}
     header += [f"{name} [{units[name]}]" for name in parameters]
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
+    rows = []
     for v in report.verdicts:
         row = [v.sensor, v.status, "; ".join(v.reasons), "; ".join(map(str, v.outliers))]
         if v.result is not None:
@@ -270,8 +267,8 @@ def render_csv(report: FleetReport) -> str:
                 f"{v.result.parameters[name].value:.8g}" if name in v.result.parameters else ""
                 for name in parameters
             ]
-        writer.writerow(row)
-    return buffer.getvalue()
+        rows.append(row)
+    return render_rows(header, rows)
 
 
 def render_markdown(report: FleetReport) -> str:

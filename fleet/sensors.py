@@ -8,9 +8,9 @@ from pathlib import Path
 from zerodrift.base.config import TRAIN, USES, Config, load_config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import PLACEHOLDER, URL
+from zerodrift.dataset.selectors import list_files
 from zerodrift.fleet.stores import list_names
 
-LOG_SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 SELECTOR_SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
 """Of a selector: the run and the part of it that are meant."""
 _GLOB = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)
@@ -199,9 +199,7 @@ def guess_folder(directory: Path) -> tuple[str, tuple[str, ...]] | None:
             continue
         names = tuple(
             sorted(
-                folder.name
-                for folder in parent.iterdir()
-                if folder.is_dir() and any(f.suffix in LOG_SUFFIXES for f in folder.iterdir())
+                folder.name for folder in parent.iterdir() if folder.is_dir() and list_files(folder)
             )
         )
         if names and (best is None or len(names) > len(best[1])):

@@ -14,7 +14,7 @@ from zerodrift.base.fleet_config import SHARED_RUNTIME
 from zerodrift.base.ownership import refuse_foreign
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
-from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
+from zerodrift.c_runtime.compilers import find_compiler, list_runtime
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
@@ -322,7 +322,8 @@ def _render(
         }
         refuse_foreign((out / name for name in (*firmware, MANIFEST)), out)
         files |= {out / name: content for name, content in firmware.items()}
-        shared = {f"../{SHARED_RUNTIME}/{path.name}": path.read_bytes() for path in RUNTIME_FILES}
+        runtime = list_runtime(job.code.header, job.code.source)
+        shared = {f"../{SHARED_RUNTIME}/{name}": t.encode() for name, t in runtime.items()}
         own = {name: content for name in (MODEL,) if (content := files[build / name])}
         files[out / MANIFEST] = write_manifest(
             job.config,

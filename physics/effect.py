@@ -17,10 +17,10 @@ Arrivals = tuple[tuple[str, int], ...]
 """(run, +1 where it came to its first temperature from above, -1 from below); others: at rest."""
 
 Values = Mapping[str, float]
+"""Parameter name -> value, in the parameter's unit."""
 
 FEWEST_RUNS = 4
 """Runs from which on whole runs are the evidence; fewer are cut into pieces."""
-"""Parameter name -> value, in the parameter's unit."""
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,10 @@
 """The report's tables as CSV files: all of them, also those that a page of ten leaves out."""
 
 import base64
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from zerodrift.base.csv_text import render_rows
 from zerodrift.report import tables
 from zerodrift.report.conversions import tabulate_conversions
 from zerodrift.report.findings import Findings
@@ -73,11 +72,8 @@ def list_annex(findings: Findings, further: Mapping[str, Table] | None = None) -
 
 def write_csv(table: Table) -> str:
     """Return a table as CSV, its numbers with a plain minus sign."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(table.headings)
-    writer.writerows([[cell.replace("−", "-") for cell in row] for row in table.rows])
-    return out.getvalue()
+    rows = ([cell.replace("−", "-") for cell in row] for row in table.rows)
+    return render_rows(table.headings, rows)
 
 
 def _clean(name: str) -> str:

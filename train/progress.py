@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.terminal import open_terminal
 from zerodrift.train.scores import Stage
 
 
@@ -20,12 +20,12 @@ def show_progress(title: str) -> Iterator[Callable[[Stage], None]]:
         if show is not None:
             yield lambda stage: show(f"{title}, {100.0 * stage.done:.0f} %: {stage.text}")
             return
-    console = Console(stderr=True)
+    console = open_terminal(stderr=True)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[text]}"),
+        TextColumn("{task.fields[text]}", markup=False),
     )
     with Progress(*columns, console=console, disable=not is_watched()) as progress:
         task = progress.add_task(title, total=1.0, text="fitting physics")

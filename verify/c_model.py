@@ -144,7 +144,7 @@ class Model(IntervalMachine):
         lines, limit = self.tanh_lines, self.h_limit
         ends = [end for line in lines for end in line]
         self.lines = len(lines)
-        self.tanh_max = max(map(abs, ends))
+        self.tanh_max = max(map(abs, ends), default=0)
         self.r_max = (1 << 30) + self.tanh_max
         shown = {
             "tanh rises from line to line": ends == sorted(ends),

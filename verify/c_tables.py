@@ -12,8 +12,11 @@ from zerodrift.verify.c_values import NotUnderstoodError
 def read_lines(tables: Mapping[str, list[int]]) -> list[tuple[int, int]]:
     """Return tanh in Q0.30 at the first and last input of each of the 512 lines of its table.
 
-    Either the 513 nodes are stored, or offset and slope of each line over the position.
+    Either the 513 nodes are stored, or offset and slope of each line over the position. A runtime
+    without a network has no such table, and no lines.
     """
+    if not any(name.startswith("zd_tanh_") for name in tables):
+        return []
     if nodes := tables.get("zd_tanh_nodes_q19"):
         pairs = itertools.pairwise(nodes)
         lines = [(a << 11, (a << 11) + (b - a) * 2047) for a, b in pairs]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from zerodrift import __version__
 from zerodrift.blocks.design import BlockDesign
 from zerodrift.blocks.proof import BlockField
-from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.c_runtime.compilers import list_runtime
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.export.integer_model import IntegerModel
@@ -94,7 +94,7 @@ def _write(
         further: claims beside those.
     """
     texts = {code.header_name: code.header, code.source_name: code.source}
-    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    texts |= list_runtime(code.header, code.source)
     grus = [layer for layer in model.recurrents if isinstance(layer, IntegerGruLayer)]
     own = [node for node in model.nodes if (node.name, "newer_q31") not in held]
     idle = frozenset[str]().union(*(node.idle for node in own))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import write_all
-from zerodrift.base.ownership import refuse_foreign
+from zerodrift.base.ownership import list_own, refuse_foreign
 from zerodrift.base.records import to_dict
 from zerodrift.base.scratch import make_scratch
 from zerodrift.blocks.block import BlockNotes
@@ -385,6 +385,11 @@ def write_artefacts(
     refuse_foreign(files, out)
     changes: dict[Path, bytes | None] = {
         out / name: None for name in (DESIGN, *BLOCK_FILES) if name not in firmware
+    }
+    changes |= {
+        out / name: None
+        for name in list_own(out)
+        if name.startswith("zd_") and name not in firmware  # of a model that included more
     }
     changes |= files | {build / name: content for name, content in artefacts.items()}
     if code.design is not None:

@@ -16,7 +16,7 @@ from zerodrift.c_runtime.compilers import (
     find_compilers,
 )
 from zerodrift.c_runtime.cores import CORES, find_cross_compilers
-from zerodrift.c_runtime.host import HostModel
+from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate_again
 from zerodrift.codegen.identity import (
     identify_again,
@@ -181,6 +181,20 @@ def _build(
     return HostModel(model, code, folder, compiler, flags, observe=observe, warnings=STANDARD)
 
 
+def is_generated(code: GeneratedCode, fresh: GeneratedCode) -> bool:
+    """Tell whether C is, to the byte, what this version of zerodrift writes for its model.
+
+    Args:
+        code: as it lies in its folder.
+        fresh: what is generated now of the same model.
+    """
+    expected = {
+        **{path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES},
+        **render_sources(fresh),
+    }
+    return all(expected.get(name) == text for name, text in render_sources(code).items())
+
+
 def compare_texts(code: GeneratedCode, fresh: GeneratedCode) -> list[str]:
     """Return where files differ from what their own identity stands for.
 
@@ -189,7 +203,7 @@ def compare_texts(code: GeneratedCode, fresh: GeneratedCode) -> list[str]:
     to have the text that its own number was made of. C from before identities has none.
     """
     there = code.runtime or {}
-    runtime = {p.name: p.read_text(encoding="utf-8") for p in RUNTIME_FILES}
+    runtime = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     found: list[str] = []
     own = read_code_identities(code.header)
     if own == read_code_identities(fresh.header):

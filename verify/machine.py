@@ -20,6 +20,7 @@ from zerodrift.base.extras import (
     TRAIN,
     WORKBENCH,
     is_there,
+    tell_install,
 )
 from zerodrift.base.lock import LOCK, describe_holder, find_state, try_lock
 from zerodrift.c_runtime.compilers import find_compilers
@@ -161,8 +162,7 @@ def _list_packages() -> list[Item]:
     for name, use in PACKAGES.items():
         if not is_there(name):
             extra = EXTRA_OF.get(name)
-            install = f'"zerodrift[{extra}]"' if extra else name
-            remedy = f"{use}; pip install {install}"
+            remedy = f"{use}; {tell_install(extra) if extra else f'pip install {name}'}"
             items.append(Item("packages", name, "missing", remedy, is_missing=True))
         else:
             installed = importlib.metadata.version(DISTRIBUTIONS.get(name, name))

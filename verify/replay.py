@@ -1,8 +1,9 @@
 """`verify`: compares the files of a project's firmware folder and of build/ with the model."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from zerodrift.blocks.block import apply, decode
 from zerodrift.blocks.design import FILE_NAME as DESIGN
 from zerodrift.blocks.design import load_design
 from zerodrift.blocks.files import BLOCK, read_block_file
-from zerodrift.codegen.generate import GeneratedCode, generate, generate_design
+from zerodrift.c_runtime.host import render_sources
+from zerodrift.codegen.generate import GeneratedCode, generate, generate_again, generate_design
 from zerodrift.export.golden import GoldenVectors, compute_golden, load_golden
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
@@ -27,7 +29,13 @@ from zerodrift.verify.folder_certificate import (
     FolderCertificate,
     check_folder_certificate,
 )
-from zerodrift.verify.folder_check import SANITIZER, FolderCheck, check_folder
+from zerodrift.verify.folder_check import (
+    SANITIZER,
+    FolderCheck,
+    check_folder,
+    compare_texts,
+    is_generated,
+)
 from zerodrift.verify.header_finding import HeaderFinding
 from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
 from zerodrift.verify.mismatch import find_mismatch
@@ -47,10 +55,32 @@ LACKING = (
     " out of --require."
 )
 GOLDEN, ONNX = "golden.npz", "integer.onnx"
+NOT_RUN = NotChecked(
+    HOST,
+    "files are not as the manifest says, so nothing was built or run; `zerodrift verify --trust`"
+    " does so all the same",
+)
 MADE_AGAIN = NotChecked(
     f"{GOLDEN}, {ONNX}",
     "`fleet` keeps neither of a unit; both were made again from its model.json",
 )
+
+
+class Consent(Protocol):
+    """Whether C that lies in a folder may be built and run: it can do anything."""
+
+    despite_changes: bool
+    """Build and run files although they differ from the manifest."""
+
+    def require(self, texts: Mapping[str, str]) -> None:
+        """Return if C may be run that this version of zerodrift does not write for the model.
+
+        Args:
+            texts: name -> content, of the model's header and source and of the runtime.
+
+        Raises:
+            InputError: it may not.
+        """
 
 
 @dataclass(frozen=True)
@@ -122,13 +152,17 @@ class Replay:
             return self
         if not self.problems:
             raise CheckError("\n  ".join(["required, and not checked:", *missing]) + f"\n{LACKING}")
+        stopped = NOT_RUN in self.not_checked
         if any(f.is_stale for f in self.findings) and len(lines) == len(self.findings):
             head = "the firmware is stale"
+        elif self.failures and not stopped:
+            head = "bits differ"
+        elif self.certificate.failures:
+            head = "the certificate does not follow from the C"
         else:
-            head = "bits differ" if self.failures else "the firmware is not what was built"
-            if not self.failures and self.certificate.failures:
-                head = "the certificate does not follow from the C"
-        raise CheckError("\n  ".join([f"{head}:", *lines]) + f"\n{AGAIN}")
+            head = "the firmware is not what was built"
+        remedy = f"{AGAIN} Here {NOT_RUN.why}." if stopped else AGAIN
+        raise CheckError("\n  ".join([f"{head}:", *lines]) + f"\n{remedy}")
 
     def _checked(self) -> set[str]:
         sanitized = {SANITIZER} if HOST in self.backends else set()
@@ -144,18 +178,26 @@ class Replay:
 
 
 def replay(
-    config: Config, progress: Progress = lambda _: None, required: Iterable[str] = ()
+    config: Config,
+    progress: Progress = lambda _: None,
+    required: Iterable[str] = (),
+    *,
+    consent: Consent,
 ) -> Replay:
     """Check everything that a project has built, as the files are now.
+
+    Where a file is not as the manifest says, nothing is built or run, and the lines are told in
+    which the C differs from what is generated.
 
     Args:
         config: the project.
         progress: is told what is being done.
         required: names that the caller will ask for; unknown ones are refused here.
+        consent: whether the C may be built and run.
 
     Raises:
-        InputError: nothing was built yet, a file is damaged or belongs to another model, or a
-            required name is unknown.
+        InputError: nothing was built yet, a file is damaged or belongs to another model, a
+            required name is unknown, or the C may not be run.
     """
     refuse_unknown(required)
     progress("comparing the files with the manifest")
@@ -166,6 +208,12 @@ def replay(
         if not files.findings and files.manifest is None:  # nothing was built, or long ago
             raise
         return _conclude(files, FolderCheck(backends=[]), "", (str(error),))
+    fresh = generate_again(model, code)
+    if any(not f.is_stale for f in files.findings) and not consent.despite_changes:
+        files = replace(files, not_checked=(*files.not_checked, NOT_RUN))
+        return _conclude(files, FolderCheck(backends=[]), model.hash, compare_texts(code, fresh))
+    if not is_generated(code, fresh):
+        consent.require(render_sources(code))
     progress("running the reference over the golden vectors")
     expected, failure = check_golden(model, golden)
     if failure is not None:
@@ -205,7 +253,7 @@ def _conclude(
     files: ManifestCheck,
     check: FolderCheck,
     model_hash: str,
-    more: tuple[str, ...] = (),
+    more: Sequence[str] = (),
     certificate: FolderCertificate = NO_CERTIFICATE,
 ) -> Replay:
     beyond = [

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import IO
 
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.selectors import LOG_SUFFIXES
 
 LOGS = "logs"
 LARGEST_UPLOAD = 1 << 30
 """Bytes; larger logs are put into the project's folder by other means."""
-SUFFIXES = (".csv", ".parquet")
 CHUNK = 1 << 20
 LONGEST_NAME = 255
 """Bytes of a file's name that every usual file system takes."""
@@ -36,8 +36,8 @@ def place_upload(directory: Path, name: str, size: int | None) -> Path:
     plain = Path(name.replace("\\", "/")).name
     if plain != name or not plain or plain.startswith("."):
         raise InputError(f"{name!r}: is no plain file name; expected one without folders.")
-    if Path(plain).suffix.lower() not in SUFFIXES:
-        raise InputError(f"{plain}: is no log; expected {' or '.join(SUFFIXES)}.")
+    if Path(plain).suffix.lower() not in LOG_SUFFIXES:
+        raise InputError(f"{plain}: is no log; expected one of {', '.join(LOG_SUFFIXES)}.")
     longest = LONGEST_NAME - len(PART)
     if len(plain.encode()) > longest:
         raise InputError(
@@ -57,7 +57,7 @@ def list_logs(directory: Path) -> list[str]:
         for place in (directory, directory / LOGS)
         if place.is_dir()
         for path in sorted(place.iterdir())
-        if path.suffix.lower() in SUFFIXES and path.is_file()
+        if path.suffix.lower() in LOG_SUFFIXES and path.is_file()
     ]
     return [path.relative_to(directory).as_posix() for path in found]
 

@@ -2,7 +2,7 @@
  * SPDX-License-Identifier: Apache-2.0; may be used under any terms beside a generated model. */
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_runtime.c is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

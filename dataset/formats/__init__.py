@@ -1,1 +1,1 @@
-"""Logs that are neither text nor Parquet, by their libraries: `pip install zerodrift[formats]`."""
+"""Logs that are neither text nor Parquet, by their libraries: the extra `formats`."""

@@ -1,59 +1,53 @@
-"""Sheets of a workbook (.xlsx, .xls, .ods), by python-calamine."""
+"""Sheets of a workbook (.xlsx, .xls, .ods), by python-calamine in a process of its own."""
 
-import csv
-import datetime
-import itertools
+import json
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from python_calamine import CalamineWorkbook
+import python_calamine  # noqa: F401 - told here that it is not installed, not in the child
 
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.formats import excel_child
 from zerodrift.dataset.formats.tables import FormatTable
 
-_NUMBERS = itertools.count()
+MOST_CELLS = 2**24
+"""Of a sheet, from A1 to the last cell that holds something: all 65,536 x 256 of an .xls, or 16
+columns through all 1,048,576 rows of an .xlsx. The library takes 32 bytes for each: 0.5 GB."""
 
 
 def read(path: Path) -> Iterable[FormatTable]:
-    """Yield each sheet as text, one line per row, so that lines above a header are recognised."""
-    workbook = CalamineWorkbook.from_path(str(path))
-    for name in workbook.sheet_names:
-        rows = workbook.get_sheet_by_name(name).to_python(skip_empty_area=False)
-        if len(rows) < 2:
-            continue
-        dated = {
-            number
-            for row in rows
-            for number, cell in enumerate(row)
-            if isinstance(cell, datetime.datetime)
-        }
-        target = _folder() / f"{next(_NUMBERS)}.tsv"
-        with target.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, delimiter="\t", lineterminator="\n")
-            for row in rows:
-                writer.writerow([_write(cell, k in dated) for k, cell in enumerate(row)])
-        yield FormatTable(name, None, text=target)
+    """Yield each sheet as text, one line per row, so that lines above a header are recognised.
 
-
-def _write(cell: object, is_dated: bool) -> str:
-    """Return a cell as text that is read as the same value.
-
-    In a column of dates and times midnight is a date without one.
+    Raises:
+        InputError: a sheet spans more than `MOST_CELLS`.
+        ValueError: the library cannot read the file.
     """
-    if is_dated and isinstance(cell, datetime.date) and not isinstance(cell, datetime.datetime):
-        return f"{cell.isoformat()}T00:00:00"
-    if isinstance(cell, datetime.datetime):
-        return cell.isoformat(sep="T")
-    if isinstance(cell, datetime.timedelta):
-        return repr(cell.total_seconds())
-    if isinstance(cell, datetime.date | datetime.time):
-        return cell.isoformat()
-    if isinstance(cell, bool):
-        return str(int(cell))
-    if isinstance(cell, float):
-        return repr(cell)
-    return str(cell).replace("\n", " ").replace("\t", " ")
+    folder = Path(tempfile.mkdtemp(dir=_folder()))
+    done = subprocess.run(
+        [sys.executable, "-P", excel_child.__file__, str(path), str(folder), str(MOST_CELLS)],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+    )
+    lines = done.stdout.splitlines()
+    told = done.stderr.strip().splitlines()
+    if done.returncode == excel_child.TOO_LARGE or done.returncode < 0 or "MemoryError" in told:
+        sheet = json.loads(lines[-1])[0] if lines else "?"
+        raise InputError(
+            f"{path}: sheet '{sheet}' spans more than {MOST_CELLS:,} cells from A1 to the last one"
+            " that holds something; expected a log, with nothing far from it. Delete what stands"
+            " at the far end (Ctrl+End goes there), split the sheet, or export it as CSV."
+        )
+    if done.returncode != 0:
+        raise ValueError(told[-1].partition(": ")[2] or told[-1] if told else "no reason told")
+    for name, file in json.loads(lines[-1]):
+        yield FormatTable(name, None, text=folder / file)
 
 
 @cache

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import tell_install
 from zerodrift.dataset.formats.tables import FormatTable
 
 
@@ -55,8 +56,7 @@ def read_tables(path: Path, label: str, known: Format) -> list[FormatTable]:
     except ImportError as error:
         raise InputError(
             f"{label}: is {known.name}, which is read by {' and '.join(known.packages)}: not "
-            f"installed here ({error}). Expected that library; install it: pip install "
-            "'zerodrift[formats]'."
+            f"installed here ({error}). Expected that library. Run: {tell_install('formats')}"
         ) from error
     read: Callable[[Path], Iterable[FormatTable]] = module.read
     try:

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from zerodrift.app.commands.common import json_option, packed, print_json
+from zerodrift.app.trust import claim
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
 from zerodrift.lab.commands.loop import describe_loop, run_loop
@@ -290,6 +291,7 @@ def command(context: click.Context, directory: Path, as_json: bool, options: Twi
         campaign = record_campaign(ask_campaign(options, given))
         files = render_files(campaign, options.level, list_channels(options))
         made = write_project(files, directory, overwrite=options.force)
+        claim(directory)
         names = [path.relative_to(directory).as_posix() for path in made]
         if as_json:
             print_json(summarise_campaign(campaign, directory, names))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.extras import tell_install
 from zerodrift.dataset.runs import Run
 from zerodrift.lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift.lab.methods.networks import WINDOW
@@ -65,8 +66,7 @@ def make_baseline(make: Make, most_rows: int = 0) -> Fit:
             model = make(seed)
         except ImportError as error:
             raise InputError(
-                f"this method needs scikit-learn ({error}). Install it: pip install"
-                " 'zerodrift[lab]'."
+                f"this method needs scikit-learn ({error}). Run: {tell_install('lab')}"
             ) from error
         windows = fit_windows(runs, options.thermometers, WINDOW, options.spacing_s)
 

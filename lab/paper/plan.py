@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from zerodrift.base.extras import tell_install
 from zerodrift.lab.methods import METHODS
 from zerodrift.lab.paper.store import Cell
 
@@ -102,7 +103,7 @@ def make_plan(quick: bool, sensors: int, seeds: int, recipe_epochs: int) -> tupl
         methods = tuple(m for m in methods if m not in NEED_SKLEARN)
         note = (
             f"scikit-learn is not installed, so {', '.join(NEED_SKLEARN)} are left out; "
-            "pip install 'zerodrift[lab]' brings it."
+            f"{tell_install('lab')} brings it."
         )
     plan = Plan(
         sensors=tuple(range(1, 1 + (sensors or (2 if quick else 5)))),

@@ -144,7 +144,8 @@ def test_two_versions_of_the_runtime_link_into_one_firmware(tmp_path: Path) -> N
 def test_a_file_of_another_set_does_not_compile(name: str, tmp_path: Path) -> None:
     """As after a copy that was interrupted: one file is still the old one."""
     code = generate(draw_model(NETWORK, 5))
-    texts = render_sources(code)
+    every = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+    texts = {**every, **render_sources(code)}
     if name in (
         "zd_lstm.h",
         "zd_lstm_rows.h",
@@ -159,10 +160,10 @@ def test_a_file_of_another_set_does_not_compile(name: str, tmp_path: Path) -> No
     assert other != texts[name]
     for which, text in {**texts, name: other}.items():
         (tmp_path / which).write_text(text)
-    every = ((), ("-mavx2",), ("-DZD_KERNEL=1",))
+    builds = ((), ("-mavx2",), ("-DZD_KERNEL=1",))
     said = [
         text
-        for flags in every
+        for flags in builds
         for source in ("golden.c", "zd_runtime.c")
         for text in list_undefined(
             find_compilers()[0], ("-c", "-DZD_SMALL" if flags[1:] else "-O1", *flags),

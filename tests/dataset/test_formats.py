@@ -118,7 +118,7 @@ def test_damaged_file_or_missing_library_is_told(tmp_path, suffix):
     known = find_format(path)
     is_missing = all(importlib.util.find_spec(name) is None for name in LIBRARIES[suffix][:1])
     assert (
-        "pip install 'zerodrift[formats]'" in message
+        "pip install 'python-calamine" in message
         if is_missing
         else known.name in message or ("metadata.yaml" in message)
     )

@@ -146,7 +146,7 @@ def server(fleet):
 
 
 def test_answer_that_breaks_off_spoils_its_own_sensor(done_fleet, fleet, server, edit):
-    pytest.importorskip("aiohttp", reason="fsspec's HTTP is not installed: zerodrift[fleet]")
+    pytest.importorskip("aiohttp", reason="fsspec's HTTP is not installed: the extra `fleet`")
     edit(FOLDER, f'"{server}/fleet/{{sensor}}"')
     outcomes = run(fleet)
     assert [outcome.result is None for outcome in outcomes] == [False, True, False]

@@ -5,13 +5,13 @@
 #include "zd_runtime.h"
 #include "zd_network.h"
 
-#if FRONT_END_CODE_ID != 1200579455
+#if FRONT_END_CODE_ID != 2245793573
 #error "front_end.h is not of the same generation as front_end.c: copy all files again"
 #endif
 #if ZD_RUNTIME_FORMAT != 3
 #error "front_end was generated for zerodrift runtime format 3: generate it again"
 #endif
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_runtime.h is not the one that front_end.c was generated with: copy all files again"
 #endif
 

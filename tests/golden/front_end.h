@@ -23,7 +23,7 @@ extern "C" {
 #define FRONT_END_FORMAT 3
 #define FRONT_END_MODEL_HASH "90e012f4ce285cdb5adf8ed32106f90546c79af297bd99ca67a0e2fdb069baaa"
 #define FRONT_END_MODEL_ID UINT32_C(2430604020)
-#define FRONT_END_CODE_ID 1200579455 /* of front_end.h and front_end.c together */
+#define FRONT_END_CODE_ID 2245793573 /* of front_end.h and front_end.c together */
 #define FRONT_END_CHANNELS 3
 #define FRONT_END_OUTPUTS 3
 /* Beside this file: hashes of every file of the firmware and of what it was made from. */

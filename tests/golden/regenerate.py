@@ -29,8 +29,12 @@ def write_known_runtime() -> None:
     """Let the certificate's checker know the runtime as it is now."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
     file = Path(known_runtime.__file__).resolve()
-    line = f'CURRENT = ({FORMAT}, "{known_runtime.hash_runtime(texts)}")'
-    _write(file, re.sub(r"^CURRENT = .*$", line, file.read_text(encoding="utf-8"), flags=re.M))
+    hashes = known_runtime.hash_runtime(texts).items()
+    lines = "".join(f'        "{name}": "{digest}",\n' for name, digest in hashes)
+    begin = "CURRENT: tuple[int, Mapping[str, str]] = "
+    block = f"{begin}(\n    {FORMAT},\n    {{\n{lines}    }},\n)\n"
+    pattern = rf"^{re.escape(begin)}\(\n.*?^\)\n"
+    _write(file, re.sub(pattern, block, file.read_text(encoding="utf-8"), flags=re.M | re.S))
 
 
 def _write(path: Path, text: str) -> None:

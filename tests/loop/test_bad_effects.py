@@ -67,7 +67,7 @@ def test_an_effect_that_fails_as_a_candidate_is_refused_by_name(make_project, ze
     (project.directory / "own.py").write_text(f"{HEAD}    {body}{TAIL}")
     text = project.toml.read_text()
     project.toml.write_text(text + '\n[plugins]\nfiles = ["own.py"]\n')
-    result = zerodrift("diagnose", "-C", project.directory)
+    result = zerodrift("diagnose", "-C", project.directory, "--trust")
     assert result.code == 2
     assert "own.py:8: effect 'mine': build raised" in result.err
 

@@ -117,7 +117,7 @@ def test_effects_shows_a_projects_own(project, tmp_path):
     (tmp_path / "zerodrift.toml").write_text(
         text + '\n[plugins]\nfiles = ["own.py"]\n', encoding="utf-8"
     )
-    said = call("effects", "mine", "-C", tmp_path)
+    said = call("effects", "mine", "-C", tmp_path, "--trust")
     assert "mine: my own" in said.output
     assert str(own) in said.output.replace("\n", "")
     assert "mine" not in call("effects").output

@@ -12,7 +12,7 @@ from tests.blocks.units import describe_unit
 from tests.golden.vectors import load
 from tests.projects import render_toml
 from tests.variable_step.models import make_model
-from tests.verify.conftest import write_firmware
+from tests.verify.conftest import Agreed, write_firmware
 from zerodrift.base.config import load_config, parse_config
 from zerodrift.blocks.block import BlockNotes
 from zerodrift.blocks.design import make_design
@@ -228,7 +228,7 @@ def test_a_block_has_it_too(tmp_path: Path) -> None:
 def test_a_firmware_folder_is_verified(tmp_path: Path) -> None:
     directory = write_firmware(tmp_path / "project", make("no_reading"))
     assert load_model(directory / "build" / "model.json").tare
-    assert not replay(load_config(directory)).problems
+    assert not replay(load_config(directory), consent=Agreed()).problems
 
 
 def test_it_is_off_unless_asked_for() -> None:

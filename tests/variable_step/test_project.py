@@ -11,7 +11,7 @@ import pytest
 from tests.blocks.units import describe_unit
 from tests.projects import render_toml
 from tests.variable_step.models import make_model
-from tests.verify.conftest import write_firmware
+from tests.verify.conftest import Agreed, write_firmware
 from zerodrift.app.apply import Chip
 from zerodrift.base.config import Config, load_config, parse_config
 from zerodrift.base.errors import CheckError, InputError
@@ -94,7 +94,7 @@ def test_model_file_that_contradicts_itself_is_refused(change: str, tmp_path: Pa
 
 def test_verify_replays_a_folder(tmp_path: Path) -> None:
     directory = write_firmware(tmp_path / "project", make_model())
-    outcome = replay(load_config(directory))
+    outcome = replay(load_config(directory), consent=Agreed())
     assert not outcome.problems
     assert {"host", "onnx"} <= {*outcome.backends}
 

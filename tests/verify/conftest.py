@@ -1,6 +1,7 @@
 """A firmware folder with everything beside it, made of a golden model without any training."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,12 +12,22 @@ from zerodrift.base.config import load_config
 from zerodrift.codegen.generate import generate
 from zerodrift.export.golden import compute_golden
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.verify import folder_check, ways
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import write_artefacts
 from zerodrift.verify.vectors import draw_golden, draw_sequences
 
 MODEL = "front_end"
 """Two inputs, a lag, a delay and a GRU whose kernels exist in every layout."""
+
+
+class Agreed:
+    """The consent of a user who knows the C."""
+
+    despite_changes = True
+
+    def require(self, texts: object) -> None:
+        """Agree."""
 
 
 def write_firmware(
@@ -49,3 +60,18 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def project(pristine: Path, tmp_path: Path) -> Path:
     """A copy of the project that a test may spoil."""
     return Path(shutil.copytree(pristine, tmp_path / "project"))
+
+
+@pytest.fixture
+def few_ways(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Leave out the other layouts and the cores but those named: the test is about one of them."""
+
+    def keep(*names: str) -> None:
+        for function in ("list_host_ways", "list_core_ways"):
+            original = getattr(ways, function)
+            kept = lambda model, f=original: tuple(w for w in f(model) if w.name in names)  # noqa: E731
+            monkeypatch.setattr(folder_check, function, kept)
+
+    keep()
+    monkeypatch.setattr("zerodrift.verify.replay.RANDOM_STEPS", 1000)
+    return keep

@@ -32,28 +32,15 @@ class Outcome:
     """Exit code, JSON (None without) and the error's message of one `verify`."""
 
     def __init__(self, project: Path, *options: str) -> None:
-        result = CliRunner().invoke(cli, ["verify", "-C", str(project), "--json", *options])
+        result = CliRunner().invoke(
+            cli, ["verify", "-C", str(project), "--json", "--trust", *options]
+        )
         self.code, self.told = result.exit_code, str(result.exception or "")
         if isinstance(result.exception, ZerodriftError):
             self.code = result.exception.exit_code
         elif result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         self.json: dict[str, Any] = json.loads(result.stdout) if result.stdout else {}
-
-
-@pytest.fixture
-def few_ways(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Leave out the other layouts and the cores but those named: the test is about one of them."""
-
-    def keep(*names: str) -> None:
-        for function in ("list_host_ways", "list_core_ways"):
-            original = getattr(ways, function)
-            kept = lambda model, f=original: tuple(w for w in f(model) if w.name in names)  # noqa: E731
-            monkeypatch.setattr(folder_check, function, kept)
-
-    keep()
-    monkeypatch.setattr("zerodrift.verify.replay.RANDOM_STEPS", 1000)
-    return keep
 
 
 def forge(project: Path) -> None:

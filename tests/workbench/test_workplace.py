@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from zerodrift.app.trust import claim
 from zerodrift.base.records import from_json
 from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.results import AddResult
@@ -163,6 +164,7 @@ register(Effect(kind="mine", title="mine", build=build, needs=("temperature",)))
 def use_effect(project, body, extra=""):
     (project.directory / "mine.py").write_text(EFFECT.format(body=body, extra=extra))
     project.toml.write_text(project.toml.read_text() + '\n[plugins]\nfiles = ["mine.py"]\n')
+    claim(project.directory)
 
 
 @pytest.mark.slow

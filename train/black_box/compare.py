@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.extras import TRAIN, is_there
+from zerodrift.base.extras import TRAIN, is_there, tell_install
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, HeldOut, hold_out
 from zerodrift.diagnosis.judgement import Fitted, judge
@@ -91,7 +91,7 @@ def try_black_boxes(
     banks = [learn_bank(lesson) for lesson in lessons]
     boxes = [_judge(LAG_BANK, banks[0].sees, fitted, lessons, [b.added for b in banks], dataset)]
     if not is_there(TRAIN.package):
-        note = f"a GRU was not tried: {TRAIN.title} is not installed (zerodrift[{TRAIN.name}])"
+        note = f"a GRU was not tried: {TRAIN.title} is not installed ({tell_install(TRAIN.name)})"
         return BlackBoxes(known[0], after, tuple(boxes), note)
     from zerodrift.train.black_box.network import learn_network
 

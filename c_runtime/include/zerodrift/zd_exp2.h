@@ -9,14 +9,14 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_exp2.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
 /* 2^f = sum c[i] f^i for 0 <= f <= 1 in Q2.29. */
 #define ZD_EXP2_TERMS 7u
 #define ZD_EXP2_CRC UINT32_C(1414128660)
-#define zd_exp2_octave_q29 zd_exp2_octave_q29_31dba63b
+#define zd_exp2_octave_q29 zd_exp2_octave_q29_b9f9d9e0
 /* clang-format off */
 ZD_SHARED const int32_t zd_exp2_octave_q29[ZD_EXP2_TERMS] = {
     536870912, 372130457, 128972571, 29786284, 5198974, 665093, 117533

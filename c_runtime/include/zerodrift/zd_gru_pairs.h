@@ -8,7 +8,7 @@
 #ifndef ZD_GRU_PAIRS_H
 #define ZD_GRU_PAIRS_H
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_gru_pairs.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

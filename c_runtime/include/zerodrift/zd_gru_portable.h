@@ -7,7 +7,7 @@
 #ifndef ZD_GRU_PORTABLE_H
 #define ZD_GRU_PORTABLE_H
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error                                                                                             \
     "zd_gru_portable.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif

@@ -9,7 +9,7 @@
 
 #include "zd_network.h"
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_layer_norm.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

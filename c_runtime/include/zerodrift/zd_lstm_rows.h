@@ -8,7 +8,7 @@
 #ifndef ZD_LSTM_ROWS_H
 #define ZD_LSTM_ROWS_H
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_lstm_rows.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 

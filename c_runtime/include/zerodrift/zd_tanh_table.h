@@ -9,21 +9,21 @@
 
 #include "zd_runtime.h"
 
-#if ZD_RUNTIME_ID != 0x31dba63b
+#if ZD_RUNTIME_ID != 0xb9f9d9e0
 #error "zd_tanh_table.h is not of the same zerodrift runtime as zd_runtime.h: copy all files again"
 #endif
 
 /* Names as the linker knows them, for assembly. */
-#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_31dba63b"
-#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_31dba63b"
-#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_31dba63b"
-#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_31dba63b"
-#define ZD_SIGMOID_OFFSET_NAME "zd_sigmoid_offset_q31_31dba63b"
-#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_31dba63b
-#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_31dba63b
-#define zd_tanh_offset_q30 zd_tanh_offset_q30_31dba63b
-#define zd_tanh_slope_q19 zd_tanh_slope_q19_31dba63b
-#define zd_sigmoid_offset_q31 zd_sigmoid_offset_q31_31dba63b
+#define ZD_TANH_HALF_OFFSET_NAME "zd_tanh_half_offset_q30_b9f9d9e0"
+#define ZD_TANH_HALF_SLOPE_NAME "zd_tanh_half_slope_q19_b9f9d9e0"
+#define ZD_TANH_OFFSET_NAME "zd_tanh_offset_q30_b9f9d9e0"
+#define ZD_TANH_SLOPE_NAME "zd_tanh_slope_q19_b9f9d9e0"
+#define ZD_SIGMOID_OFFSET_NAME "zd_sigmoid_offset_q31_b9f9d9e0"
+#define zd_tanh_half_offset_q30 zd_tanh_half_offset_q30_b9f9d9e0
+#define zd_tanh_half_slope_q19 zd_tanh_half_slope_q19_b9f9d9e0
+#define zd_tanh_offset_q30 zd_tanh_offset_q30_b9f9d9e0
+#define zd_tanh_slope_q19 zd_tanh_slope_q19_b9f9d9e0
+#define zd_sigmoid_offset_q31 zd_sigmoid_offset_q31_b9f9d9e0
 
 /* clang-format off */
 #if defined(ZD_SMALL)

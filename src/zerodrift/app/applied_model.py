@@ -11,6 +11,7 @@ from zerodrift.app.applied_rows import FLAGS
 from zerodrift.app.apply import PredictFloat
 from zerodrift.app.commands.built import read_uncertainty
 from zerodrift.app.deployed_block import find_deployed_block
+from zerodrift.app.trust import require_trust
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
@@ -19,7 +20,8 @@ from zerodrift.export.compose import describe_compensator
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.train.compensator import Compensator
+from zerodrift.train.compensator import DESCRIPTION, Compensator
+from zerodrift.train.prepare import mark_inputs
 from zerodrift.verify.manifest import check_manifest
 from zerodrift.verify.uncertainty import Uncertainty
 
@@ -54,8 +56,8 @@ def open_applied(
         block: the block on the unit; None: as the registry says, else the one written last.
 
     Raises:
-        InputError: no firmware was built yet, it has other outputs, there is no such block, or
-            `kind` is neither.
+        InputError: no firmware was built yet, it or the float model has other outputs, there is no
+            such block, or `kind` is neither.
     """
     if kind not in KINDS:
         raise InputError(f"model = {kind!r}: expected one of {', '.join(KINDS)}.")
@@ -69,9 +71,23 @@ def open_applied(
     notes = [*([why] if why else []), *(f.text for f in check_manifest(config).findings)]
     predict = None
     if kind == FLOAT:
+        require_trust(config.plugin_files, config.directory)
         dataset = load_logs()
         catalogue = load_catalogue(config.plugin_files)
         trained = Compensator.load(config.build_directory, catalogue)
+        if trained.physics.outputs != tuple(output.name for output in config.outputs):
+            raise InputError(
+                f"{config.build_directory / DESCRIPTION}: has the outputs"
+                f" {', '.join(trained.physics.outputs)}; {config.path} has"
+                f" {', '.join(output.name for output in config.outputs)}: it is another project's."
+                " Run `zerodrift train`."
+            )
+        if trained.trained_from != mark_inputs(config, dataset):
+            notes.append(
+                f"{config.build_directory / DESCRIPTION}: was not trained from these logs and this"
+                f" {config.path.name}, but from others; the float model may be another than the"
+                " firmware's. `zerodrift train` trains it anew"
+            )
         predict = describe_compensator(trained, config, dataset.train).predict_on_chip
     else:
         on_chip = find_deployed_block(config, block)

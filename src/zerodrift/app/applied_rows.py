@@ -12,11 +12,13 @@ from polars.exceptions import PolarsError
 from polars.io.plugins import register_io_source
 
 from zerodrift.base.config import Config
+from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import explain_write, name_beside
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, find_column
 from zerodrift.dataset.selectors import PARQUET_SUFFIXES
+from zerodrift.dataset.text_format import TextFormat
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_DAMAGED,
@@ -85,11 +87,11 @@ class AppliedRows:
         """Yield the rows.
 
         Args:
-            as_text: keep a CSV's fields as they were written, except the outputs; else columns
+            as_text: keep a CSV's fields as they were written; else columns
                 whose first rows are numbers are read as numbers.
         """
         source = self.steps.source
-        numeric = set(self.measured)
+        numeric = set[str]() if as_text else set(self.measured) - set(self.steps.quantities)
         if source.is_csv and not as_text:
             numeric |= _find_numeric(source.scan().head(1000).collect())
         frame = source.scan(sorted(numeric))
@@ -100,17 +102,17 @@ class AppliedRows:
             lacking = len(batch) - at.size  # rows after the last that was kept
             if lacking:
                 at = np.concatenate([at, np.full(lacking, -1, dtype=np.int64)])
-            yield batch.with_columns(self._compute(batch, at))
+            yield batch.with_columns(self._compute(batch, at, row))
             row += len(batch)
 
-    def _compute(self, batch: pl.DataFrame, at: NDArray[np.int64]) -> list[pl.Series]:
+    def _compute(self, batch: pl.DataFrame, at: NDArray[np.int64], row: int) -> list[pl.Series]:
         none = at < 0
         step = np.where(none, 0, at)
         flags = self.answers.flags[step]
         columns = []
         for k, (output, column) in enumerate(zip(self.model.outputs, self.measured, strict=True)):
             drift = self.answers.drift[step, k] / self.scales[k]
-            measured = batch[column].cast(pl.Float64).to_numpy()
+            measured = self._read_measured(batch, column, row)
             expanded = self.expand(output.name, step)
             columns += [
                 _fill(f"{output.name}_drift", drift, none),
@@ -119,6 +121,16 @@ class AppliedRows:
             ]
         told = pl.Series(FLAGS, flags.astype(np.uint32))
         return [*columns, told.zip_with(pl.Series(~none), pl.Series([None], dtype=pl.UInt32))]
+
+    def _read_measured(self, batch: pl.DataFrame, column: str, row: int) -> Array:
+        """Return a measured column [n] of a batch that begins at a row, in the output's unit."""
+        converted = self.steps.quantities.get(column)
+        if converted is None:
+            return _read_numbers(batch[column], self.steps.source.text)
+        values = np.full(len(batch), np.nan)
+        own = converted[row : row + len(batch)]
+        values[: own.size] = own
+        return values
 
     def expand(self, output: str, step: NDArray[np.int64]) -> Array:
         """Return the expanded uncertainty (k = 2) [n] at some steps, in the output's unit.
@@ -151,6 +163,15 @@ def list_added(model: IntegerModel) -> list[str]:
 def _fill(name: str, values: Array, none: NDArray[np.bool_]) -> pl.Series:
     """Return a column whose missing numbers are null."""
     return pl.Series(name, np.where(none, np.nan, values)).fill_nan(None)
+
+
+def _read_numbers(column: pl.Series, text: TextFormat | None) -> Array:
+    """Return the numbers [n] of a column, of fields of text too; NaN where there is none."""
+    if column.dtype == pl.String:
+        if text is not None and text.decimal_comma:
+            column = column.str.replace(",", ".", literal=True)
+        column = column.str.strip_chars()
+    return np.asarray(column.cast(pl.Float64, strict=False).to_numpy())
 
 
 def _find_numeric(head: pl.DataFrame) -> set[str]:
@@ -191,7 +212,7 @@ def write_rows(rows: AppliedRows, out: Path) -> None:
 def _write_csv(rows: AppliedRows, path: Path, separator: str) -> None:
     with path.open("wb") as file:
         for number, batch in enumerate(rows.stream(as_text=True)):
-            batch.write_csv(file, include_header=number == 0, separator=separator)
+            mark_frame(batch).write_csv(file, include_header=number == 0, separator=separator)
 
 
 def _write_parquet(rows: AppliedRows, path: Path) -> None:

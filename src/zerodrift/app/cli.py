@@ -20,6 +20,7 @@ from zerodrift.app.surroundings import (
 )
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.files import NOTHING_HALF, explain_refusal, explain_write, is_refused_write
+from zerodrift.base.terminal import guard_streams
 from zerodrift.base.threads import use_one_thread
 
 #: Command name -> one-line help. The command itself is `zerodrift.app.commands.<name>:command`;
@@ -170,6 +171,7 @@ def main() -> None:
     """Run the command line; a user's error becomes one message on stderr and its exit code."""
     use_one_thread()
     prepare_streams()
+    guard_streams()
     end_on_request()
     try:
         if note := describe_memory_limit(sys.argv[1:]):

@@ -1,6 +1,9 @@
 """Parts of zerodrift that need packages which a plain install leaves out."""
 
+import re
+import shlex
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
 
 from zerodrift.base.errors import InputError
@@ -8,7 +11,7 @@ from zerodrift.base.errors import InputError
 
 @dataclass(frozen=True)
 class Extra:
-    """A set of packages that is installed by name: `pip install "zerodrift[NAME]"`."""
+    """A set of packages that pyproject.toml lists as optional; `tell_install` installs it."""
 
     name: str
     package: str
@@ -52,5 +55,22 @@ def require(extra: Extra, what: str) -> None:
     if not is_there(extra.package):
         raise InputError(
             f"{what}: needs {extra.title}, which is not installed; expected the extra "
-            f"'{extra.name}'. Run: pip install \"zerodrift[{extra.name}]\""
+            f"'{extra.name}'. Run: {tell_install(extra.name)}"
         )
+
+
+def tell_install(extra: str) -> str:
+    """Return the command that installs an extra, however zerodrift itself was installed.
+
+    It names the packages, as the metadata of the installation do: zerodrift is on no index, and its
+    checkout may be gone.
+    """
+    try:
+        listed = requires("zerodrift") or []
+    except PackageNotFoundError:
+        listed = []
+    own = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
+    packages = [each.partition(";")[0].strip() for each in listed if own.search(each)]
+    if not packages:
+        return f"pip install '.[{extra}]', in zerodrift's checkout"
+    return f"pip install {' '.join(shlex.quote(package) for package in packages)}"

@@ -175,10 +175,24 @@ def explain_write(path: Path | str, error: OSError, state: str = AS_BEFORE) -> I
         state: a sentence on how the files are now.
     """
     remedy = _REMEDIES.get(error.errno or 0, "Check the directory")
+    if (link := find_dangling(Path(path))) is not None:
+        return InputError(
+            f"{path}: cannot be written: {link} is a link to {os.readlink(link)}, which is not"  # noqa: PTH115
+            f" there; expected a directory. Mount or make it, or remove the link. {state}"
+        )
     return InputError(
         f"{path}: cannot be written ({error.strerror or error}); expected a directory with room"
         f" that this user may write to. {remedy}, or name another by -C. {state}"
     )
+
+
+def find_dangling(path: Path) -> Path | None:
+    """Return the link on the way to a path that leads nowhere, if there is one."""
+    for place in (path, *path.parents):
+        with suppress(OSError):
+            if place.is_symlink() and not place.exists():
+                return place
+    return None
 
 
 def name_kind(path: Path) -> str:
@@ -196,6 +210,11 @@ def explain_refusal(error: OSError) -> str | None:
     place, answer = error.filename, error.strerror
     if found := re.fullmatch(r"(.+) \(os error \d+\): (.+)", str(error)):
         answer, place = found.groups()
+    if is_vanished():
+        return (
+            "the current directory was removed, or its disk was taken away; expected one that is"
+            " there. Change to another, by `cd`, and run the command again. Nothing was changed."
+        )
     if not place and error.errno not in _REMEDIES:
         return None
     place = place or f"standard output, or a file in {tempfile.gettempdir()}"
@@ -204,6 +223,15 @@ def explain_refusal(error: OSError) -> str | None:
         f" hands out. {NOTHING_HALF} See to the disk, to the rights, or to the limit on open files"
         " (ulimit -n), and run the command again."
     )
+
+
+def is_vanished() -> bool:
+    """Tell whether the current directory is gone, so that no relative name stands for a file."""
+    try:
+        Path.cwd()
+    except OSError:
+        return True
+    return False
 
 
 def is_refused_write(error: OSError) -> bool:

@@ -16,7 +16,6 @@ and the old contents are restored. After each step the data is flushed to the di
 import hashlib
 import os
 import secrets
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -33,7 +32,7 @@ from zerodrift.base.files import (
     write_beside,
     write_whole,
 )
-from zerodrift.base.lock import LOCK, STATE, find_state, lock_project, tell, try_lock
+from zerodrift.base.lock import LOCK, STATE, find_state, lock_project, take_turns, tell, try_lock
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.scratch import clean_scratch
 from zerodrift.base.sealed import read_sealed, render_sealed
@@ -226,8 +225,9 @@ def settle_project(project: Path) -> None:
         InputError: a change is unfinished and the folder cannot be written.
     """
     state = find_state(project)
-    deadline = time.monotonic() + PATIENCE_S
-    while found := _list_records(state):
+    for _ in take_turns(PATIENCE_S, 0.02):
+        if not _list_records(state):
+            return
         try:
             release = try_lock(state / LOCK)
         except FileNotFoundError:
@@ -238,19 +238,18 @@ def settle_project(project: Path) -> None:
                 f" ({error.strerror or error}), so that they do not belong together; expected a"
                 " folder that may be written. Run a command where the project may be written."
             ) from error
-        if time.monotonic() > deadline:
-            raise InputError(
-                f"{found[0]}: the change of files that it records has not ended for"
-                f" {PATIENCE_S:g} s; expected a change of less than one. Run this again when the"
-                " command that makes it is done, and look after the disk if none is."
-            )
         if release is None:
-            time.sleep(0.02)
             continue
         try:
             _recover(state)
         finally:
             release()
+    if found := _list_records(state):
+        raise InputError(
+            f"{found[0]}: the change of files that it records has not ended for"
+            f" {PATIENCE_S:g} s; expected a change of less than one. Run this again when the"
+            " command that makes it is done, and look after the disk if none is."
+        )
 
 
 def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T]) -> T:
@@ -262,9 +261,9 @@ def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T])
         read: reads them; called again where a change came between.
 
     Raises:
-        InputError: as `settle_project`.
+        InputError: as `settle_project`; or a change came between every time.
     """
-    while True:
+    for _ in take_turns(PATIENCE_S, 0.02):
         settle_project(project)
         before = _mark_files(folders)
         try:
@@ -275,6 +274,11 @@ def read_together(project: Path, folders: Sequence[Path], read: Callable[[], T])
             continue
         if before == _mark_files(folders):
             return found
+    raise InputError(
+        f"{', '.join(map(str, folders))}: files there have changed during every attempt to read"
+        f" them for {PATIENCE_S:g} s; expected files that stay as they are for one. Run this again"
+        " when the program that changes them is done."
+    )
 
 
 def _mark_files(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.files import telling_of_writes
+from zerodrift.base.files import find_dangling, telling_of_writes
 from zerodrift.base.records import from_json, to_dict
 
 STATE = Path("build") / ".zerodrift"
@@ -25,6 +25,9 @@ WAIT_VARIABLE = "ZERODRIFT_WAIT_S"
 WAIT_S = 600.0
 """How long a second writer waits, unless the variable says otherwise."""
 POLL_S = 0.1
+REMOVAL_S = 0.5
+"""How long the folder may be missing again and again, as it is while a holder leaves, who removes
+two names; a folder that cannot be made there at all is told after this time."""
 LONGEST_COMMAND = 120
 
 _held: dict[Path, int] = {}
@@ -56,37 +59,21 @@ def lock_project(project: Path, *, patient: bool = True) -> Iterator[None]:
             _held[state] -= 1
         return
     wait_s = _read_wait() if patient else 0.0
-    deadline = time.monotonic() + wait_s
     is_told = not patient
     release = None
-    while release is None:
-        with telling_of_writes(state):
-            try:
-                state.mkdir(parents=True, exist_ok=True)
-                release = try_lock(state / LOCK)
-            except (FileNotFoundError, FileExistsError, NotADirectoryError) as error:
-                # The last holder has removed the empty folder, or a file has its name.
-                for folder in (state.parent, state):
-                    if folder.exists() and not folder.is_dir():
-                        raise InputError(
-                            f"{folder}: is a file; expected a folder, or nothing, where zerodrift"
-                            " keeps what it computes. Move the file away."
-                        ) from None
-                if isinstance(error, NotADirectoryError):
-                    raise
-                continue
+    for _ in take_turns(wait_s):
+        release = _open_lock(state)
         if release is not None:
             break
-        if time.monotonic() >= deadline:
-            raise InputError(
-                f"{project}: is being changed by {describe_holder(state)}; waited {wait_s:g} s for"
-                f" it. Run this again when that is done, or set {WAIT_VARIABLE} to wait longer."
-                " Nothing was changed."
-            )
         if not is_told:
             tell(f"waiting for {describe_holder(state)}, up to {wait_s:g} s")
             is_told = True
-        time.sleep(POLL_S)
+    if release is None:
+        raise InputError(
+            f"{project}: is being changed by {describe_holder(state)}; waited {wait_s:g} s for"
+            f" it. Run this again when that is done, or set {WAIT_VARIABLE} to wait longer."
+            " Nothing was changed."
+        )
     _held[state] = 1
     try:
         _sign(state)
@@ -95,6 +82,47 @@ def lock_project(project: Path, *, patient: bool = True) -> Iterator[None]:
         del _held[state]
         _leave(state)
         release()
+
+
+def take_turns(wait_s: float, poll_s: float = POLL_S) -> Iterator[None]:
+    """Yield at once, then after each sleep until a deadline: every loop that waits is one of these.
+
+    Args:
+        wait_s: from now to the last turn; 0 is one turn.
+        poll_s: length of a sleep.
+    """
+    deadline = time.monotonic() + wait_s
+    while True:
+        yield
+        if time.monotonic() >= deadline:
+            return
+        time.sleep(poll_s)
+
+
+def _open_lock(state: Path) -> Callable[[], None] | None:
+    """Make the folder of the lock and take it; None where another process holds it.
+
+    Raises:
+        InputError: the folder cannot be made or written.
+    """
+    with telling_of_writes(state):
+        gone: OSError | None = None
+        for _ in take_turns(REMOVAL_S, REMOVAL_S / 20.0):
+            try:
+                state.mkdir(parents=True, exist_ok=True)
+                return try_lock(state / LOCK)
+            except (FileNotFoundError, FileExistsError, NotADirectoryError) as error:
+                for folder in (state.parent, state):
+                    if folder.exists() and not folder.is_dir():
+                        raise InputError(
+                            f"{folder}: is a file; expected a folder, or nothing, where zerodrift"
+                            " keeps what it computes. Move the file away."
+                        ) from None
+                if isinstance(error, NotADirectoryError) or find_dangling(state) is not None:
+                    raise
+                gone = error  # the last holder was removing the empty folder; or it cannot be
+        assert gone is not None
+        raise gone
 
 
 def try_lock(path: Path) -> Callable[[], None] | None:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from zerodrift.base.files import REMAINDER
+from zerodrift.base.files import REMAINDER, explain_write, is_refused_write
 from zerodrift.base.lock import find_state, try_lock
 
 _PLAIN = re.compile(r"[^%\\\"'`$\x00-\x1f\x7f]*" if os.sep == "/" else r"[^%\"'`$\x00-\x1f\x7f]*")
@@ -45,6 +45,9 @@ def make_scratch(project: Path) -> Iterator[Path]:
 
     Args:
         project: the folder of zerodrift.toml.
+
+    Raises:
+        InputError: within this context a file was written, and the disk has no room for it.
     """
     state = find_state(project)
     try:
@@ -54,16 +57,24 @@ def make_scratch(project: Path) -> Iterator[Path]:
         folder = tempfile.TemporaryDirectory(prefix=SCRATCH, dir=state, ignore_cleanup_errors=True)
     except OSError:
         folder = tempfile.TemporaryDirectory(prefix="zerodrift-", ignore_cleanup_errors=True)
-    with folder as name:
-        release = try_lock(Path(name) / IN_USE)
-        try:
-            yield Path(name)
-        finally:
-            if release is not None:
-                release()
-    with suppress(OSError):
-        state.rmdir()
-        state.parent.rmdir()
+    try:
+        with folder as name:
+            release = try_lock(Path(name) / IN_USE)
+            try:
+                yield Path(name)
+            except OSError as error:
+                if (
+                    is_refused_write(error) and not error.filename
+                ):  # of a write the system tells none
+                    raise explain_write(name, error) from error
+                raise
+            finally:
+                if release is not None:
+                    release()
+    finally:
+        with suppress(OSError):
+            state.rmdir()
+            state.parent.rmdir()
 
 
 def clean_scratch(state: Path) -> None:

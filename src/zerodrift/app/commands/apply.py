@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     print_result,
     sensor_option,
     skip_invalid_option,
+    trust_option,
 )
 from zerodrift.app.commands.console import (
     open_console,
@@ -54,6 +55,7 @@ KINDS = INTEGER, FLOAT = ("integer", "float")
     help="The block on the unit, where coefficients lie in a block (default: as the registry says, "
     "else the one written last).",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 def command(

@@ -14,12 +14,12 @@ from zerodrift.app.commands.common import (
     print_result,
     skip_invalid_option,
 )
+from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import settle_project, write_all
 from zerodrift.calibration.matrix import CalibrationMatrix
 
 SUFFIXES = (".toml", ".json", ".h")
-LOG_SUFFIXES = (".csv", ".parquet", ".pq")
 
 
 def find_logs(names: Sequence[str], directory: Path) -> list[Path]:
@@ -28,11 +28,13 @@ def find_logs(names: Sequence[str], directory: Path) -> list[Path]:
     Raises:
         InputError: a name matches no file.
     """
+    from zerodrift.dataset.selectors import list_files
+
     found: list[Path] = []
     for name in names:
         path = directory / name
         if path.is_dir():
-            matches = sorted(p for p in path.iterdir() if p.suffix.lower() in LOG_SUFFIXES)
+            matches = list_files(path)
         elif path.exists():
             matches = [path]
         else:
@@ -146,9 +148,8 @@ def render_applied(
         kept = frame.select(names)
         before = sum(name not in fitted.channels for name in frame.columns[:place])
         columns = kept.get_columns()
-        texts[f"{path.stem}.csv"] = pl.DataFrame(
-            [*columns[:before], *added, *columns[before:]]
-        ).write_csv()
+        whole = pl.DataFrame([*columns[:before], *added, *columns[before:]])
+        texts[f"{path.stem}.csv"] = mark_frame(whole).write_csv()
     return texts, notes
 
 

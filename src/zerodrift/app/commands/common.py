@@ -4,17 +4,21 @@ import functools
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from zerodrift.app.trust import TRUST, claim, require_place
 from zerodrift.base.journal import hold_project, settle_project
 from zerodrift.base.records import to_dict
+from zerodrift.base.terminal import CONTROLS
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+    from zerodrift.base.config import Config
 
 Command = TypeVar("Command", bound=Callable[..., object])
 Result = TypeVar("Result")
@@ -43,11 +47,15 @@ def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path
 
 
 def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Lock the project against other writers for as long as the command runs."""
+    """Lock the project against other writers for as long as the command runs.
+
+    Such a command is its author's: the project counts as this user's own (`zerodrift.app.trust`).
+    """
 
     @functools.wraps(function)
     def hold(*arguments: object, directory: Path, **options: object) -> Result:
         with hold_project(directory):
+            claim(directory)
             return function(*arguments, directory=directory, **options)
 
     return hold
@@ -98,13 +106,44 @@ def sensor_option(function: Command) -> Command:
     )(function)
 
 
+def out_option(function: Command) -> Command:
+    """Add `--out DIR`, the firmware folder, passed on as `out: Path | None`."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path, file_okay=False),
+        default=None,
+        metavar="DIR",
+        help="The firmware folder, in place of that of [firmware] out. One outside the project has"
+        " to be named here once before [firmware] out may name it.",
+    )(function)
+
+
+def place_firmware(config: "Config", out: Path | None) -> "Config":
+    """Return a configuration whose firmware goes where the command line says.
+
+    Raises:
+        InputError: it goes outside the project, and the command line never said so.
+    """
+    if out is not None:
+        config = replace(config, firmware_out=out)
+    require_place(config.firmware_out, config.directory, out)
+    return config
+
+
 def trust_option(function: Command) -> Command:
-    """Add `--trust`, passed on as `trust: bool`."""
+    """Add `--trust`, which `zerodrift.app.trust` finds in click's context."""
     return click.option(
         "--trust",
         is_flag=True,
-        help="Run the project's own files of effects ([plugins]) without asking.",
+        expose_value=False,
+        callback=_note_trust,
+        help="Run code that the project brings, files of effects ([plugins]) and C, without"
+        " asking.",
     )(function)
+
+
+def _note_trust(context: click.Context, _: click.Parameter, trust: bool) -> None:
+    context.meta[TRUST] = trust
 
 
 def print_result(result: object) -> None:
@@ -118,6 +157,7 @@ def print_json(value: object) -> None:
     Where stdout's encoding lacks a character, everything but ASCII is written as JSON escapes.
     """
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    text = CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # those that JSON allows
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError:

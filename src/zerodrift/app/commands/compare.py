@@ -13,6 +13,7 @@ from zerodrift.app.commands.common import (
     print_result,
     sensor_option,
     skip_invalid_option,
+    trust_option,
 )
 from zerodrift.app.commands.console import (
     open_console,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     default=None,
     help="Write a self-contained page: model over measurements, residuals, autocorrelation.",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 def command(

@@ -7,26 +7,27 @@ from dataclasses import astuple, fields
 from typing import TYPE_CHECKING
 
 from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.terminal import open_terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
     from zerodrift.physics.effect import Effect
     from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
+_shown: "list[Status]" = []
+"""What shows progress on the terminal at present."""
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
 
 
 def open_console() -> "Console":
     """Return the console for results: plain text of a fixed width unless it is a terminal."""
-    from rich.console import Console
-
     width = None if sys.stdout.isatty() else LEAST_WIDTH
-    # Square brackets and colons are plain text here: [logs], log.csv:100:.
-    return Console(width=width, highlight=False, markup=False, emoji=False)
+    return open_terminal(width=width)
 
 
 def open_table(title: str, left: Sequence[str], right: Sequence[str]) -> "Table":
@@ -82,10 +83,24 @@ def show_progress(first: str) -> Iterator[Callable[[str], None]]:
     if not is_watched():
         yield lambda _: None
         return
-    from rich.console import Console
+    with open_terminal(stderr=True).status(first) as status:
+        _shown.append(status)
+        try:
+            yield status.update
+        finally:
+            _shown.remove(status)
 
-    with Console(stderr=True).status(first) as status:
-        yield status.update
+
+@contextmanager
+def pause_progress() -> Iterator[None]:
+    """Show no progress for as long as the user is asked something."""
+    for status in _shown:
+        status.stop()
+    try:
+        yield
+    finally:
+        for status in _shown:
+            status.start()
 
 
 def print_uncertainty(stated: "Mapping[str, StatedUncertainty] | None", console: "Console") -> None:

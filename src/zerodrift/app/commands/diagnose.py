@@ -12,6 +12,7 @@ from zerodrift.app.commands.common import (
     print_result,
     sensor_option,
     skip_invalid_option,
+    trust_option,
 )
 from zerodrift.app.commands.console import (
     open_console,
@@ -45,6 +46,7 @@ MOST_LISTED = 8
     help="Add what is missing and look again, until nothing is missing or it has no name. "
     "zerodrift.toml is left as it is; `zerodrift add` writes it.",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 def command(

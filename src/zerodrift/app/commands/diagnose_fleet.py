@@ -28,7 +28,7 @@ def diagnose_fleet(
     Raises:
         InputError: zerodrift.toml does not say where the units are, or none can be examined.
     """
-    from zerodrift.app.trust import remember
+    from zerodrift.app.trust import require_trust
     from zerodrift.dataset.load import load_dataset
     from zerodrift.fleet.differing import find_differences
     from zerodrift.fleet.evidence import look_at_unit, pool_units
@@ -36,7 +36,7 @@ def diagnose_fleet(
     from zerodrift.fleet.sensors import configure_sensor, find_sensors
     from zerodrift.physics.catalogue import load_catalogue
 
-    remember(config.plugin_files)
+    require_trust(config.plugin_files, config.directory)
     catalogue = load_catalogue(config.plugin_files)
     names = find_sensors(config)
     units, errors = [], {}

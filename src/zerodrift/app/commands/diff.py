@@ -10,6 +10,7 @@ from zerodrift.app.commands.common import (
     print_notes,
     print_result,
     skip_invalid_option,
+    trust_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
 from zerodrift.base.errors import CheckError
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     metavar="PERCENT",
     help="Exit 1 where a drift differs by more than this share of full scale.",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 def command(
@@ -54,13 +56,14 @@ def command(
     LOG..., or else over the calibrated range that both have.
     """
     from zerodrift.app.diff import diff_models, find_project, open_model
-    from zerodrift.app.trust import remember
+    from zerodrift.app.trust import require_trust
     from zerodrift.base.config import load_config
 
     place = directory or find_project(new) or find_project(old)
     config = load_config(place) if place is not None else None
     plugins = config.plugin_files if config is not None else ()
-    remember(plugins)
+    if place is not None:
+        require_trust(plugins, place)
     before, after = (open_model(path, plugins) for path in (old, new))
     with show_progress("comparing") as say:
         found = diff_models(

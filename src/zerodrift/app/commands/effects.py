@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.app.commands.common import json_option, print_result
+from zerodrift.app.commands.common import json_option, print_result, trust_option
 from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.base.journal import write_text
 
@@ -36,6 +36,7 @@ WIDTH = 88
     default=None,
     help="With a name: write the picture as a self-contained page.",
 )
+@trust_option
 @json_option
 def command(name: str | None, directory: Path, html: Path | None, as_json: bool) -> None:
     """List the effects; with NAME, describe one.
@@ -43,6 +44,7 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     Equation, parameters with units and bounds, what it looks like, how to provoke it, what to do
     about it in hardware, and the source.
     """
+    from zerodrift.app.trust import require_trust
     from zerodrift.base.config import load_config
     from zerodrift.base.errors import InputError
     from zerodrift.diagnosis.fingerprint import draw_fingerprint
@@ -53,6 +55,7 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     plugins: tuple[Path, ...] = ()
     if (directory / "zerodrift.toml").is_file():
         plugins = load_config(directory).plugin_files
+        require_trust(plugins, directory)
     catalogue = load_catalogue(plugins)
     if name is None:
         if html is not None:

@@ -26,11 +26,10 @@ def command(directory: Path, sensor: str | None, as_json: bool, skip_invalid: bo
 
     The integer model is proven free of overflow for every input, or refused with the reason.
     """
-    from rich.console import Console
-
     from zerodrift.app.commands.firmware import show_path
     from zerodrift.app.commands.project import open_project, train_project
     from zerodrift.base.journal import write_all
+    from zerodrift.base.terminal import open_terminal
     from zerodrift.codegen.generate import generate
     from zerodrift.export.compose import (
         compose_quantized,
@@ -45,7 +44,7 @@ def command(directory: Path, sensor: str | None, as_json: bool, skip_invalid: bo
     from zerodrift.verify.certificate import certify
     from zerodrift.verify.vectors import draw_golden
 
-    console = Console(stderr=True)
+    console = open_terminal(stderr=True)
     config, dataset = open_project(directory, skip_invalid, sensor)
     print_notes(dataset.notes)
     compensator = train_project(config, dataset, console)

@@ -11,6 +11,8 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
+    out_option,
+    place_firmware,
     print_notes,
     print_result,
     sensor_option,
@@ -24,11 +26,13 @@ from zerodrift.app.runs_left_out import (
     keep_uncertainty,
     leave_runs_out,
 )
+from zerodrift.app.trust import remember_code, require_place
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import change_together, write_all
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
+from zerodrift.base.terminal import open_terminal
 from zerodrift.verify.conversions_told import summarise_conversions, tell_conversions
 from zerodrift.verify.summary import (
     REFUSED,
@@ -89,6 +93,7 @@ BUDGET_ROWS = 5
     help="Fit, or train, again without some of the training runs, for the uncertainty of a"
     " compensated value (default), or state none.",
 )
+@out_option
 @onnx_options
 @changes_project
 def command(
@@ -98,6 +103,7 @@ def command(
     skip_invalid: bool,
     force: bool,
     uncertainty: bool,
+    out: Path | None,
     request: OnnxRequest,
 ) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
@@ -117,8 +123,6 @@ def command(
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
     """
-    from rich.console import Console
-
     from zerodrift.app.commands.project import (
         open_project,
         refuse_shared_program,
@@ -128,16 +132,18 @@ def command(
     from zerodrift.export.compose import describe_compensator
 
     refuse_shared_program(directory, sensor)
-    console = Console(stderr=True)
+    console = open_terminal(stderr=True)
     left = NO_TRAINING
     if request:
         config, dataset, described, notes = open_import(request, directory, skip_invalid, sensor)
         print_notes((*dataset.notes, *notes))
+        config = place_firmware(config, out)
         against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
     else:
         with show_progress("reading logs"):
             config, dataset = open_project(directory, skip_invalid, sensor)
         print_notes(dataset.notes)
+        config = place_firmware(config, out)
         against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
         compensator = train_project(config, dataset, console)
         described = describe_compensator(compensator, config, dataset.train)
@@ -183,8 +189,10 @@ def make_firmware(
     """
     from zerodrift.blocks.files import BLOCK
     from zerodrift.field.editions import find_editions
+    from zerodrift.c_runtime.host import render_sources
     from zerodrift.verify.firmware import build_firmware
 
+    require_place(config.firmware_out, config.directory)
     with change_together(config.directory):
         with show_progress("quantizing") as say:
             firmware = build_firmware(
@@ -201,6 +209,7 @@ def make_firmware(
         result = summarise(firmware, config.directory)
         keep(result, config)
         if firmware.files:
+            remember_code(render_sources(firmware.code))
             keep_uncertainty(firmware, config, dataset, described, left)
     return firmware, result
 

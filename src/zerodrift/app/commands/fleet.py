@@ -15,7 +15,9 @@ from zerodrift.app.commands.common import (
     changes_project,
     directory_option,
     json_option,
+    out_option,
     packed,
+    place_firmware,
     print_result,
     skip_invalid_option,
 )
@@ -44,6 +46,8 @@ class FleetOptions:
     over_ray: bool
     ray_address: str | None
     uncertainty: bool
+    out: Path | None = None
+    """The firmware folder, in place of that of `[firmware] out`."""
 
 
 @click.command("fleet")
@@ -94,6 +98,7 @@ class FleetOptions:
     help="Fit, or train, each sensor again without some of its runs, for the uncertainty of a"
     " compensated value (default), or state none.",
 )
+@out_option
 @changes_project
 @packed(FleetOptions)
 def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOptions) -> None:
@@ -121,7 +126,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     from zerodrift.fleet.report import ERROR, FAIL, judge_fleet, summarise_report, write_report
     from zerodrift.fleet.run import run_fleet
 
-    config = load_config(directory)
+    config = place_firmware(load_config(directory), options.out)
     place = choose_device(options.device, config.network.kind != "none")
     jobs = options.jobs or (1 if place != "cpu" else os.cpu_count() or 1)
     design = Design(
@@ -251,11 +256,11 @@ class _RunState:
 @contextmanager
 def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None]]":
     """Show a bar on stderr, or lines for another program."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     from zerodrift.base.progress import PROGRESS_LINES, is_watched, print_progress
+    from zerodrift.base.terminal import open_terminal
 
     def describe(p: "FleetProgress") -> str:
         parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
@@ -269,10 +274,10 @@ def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None
 
         yield tell_line
         return
-    console = Console(stderr=True)
+    console = open_terminal(stderr=True)
     columns = (
         *(TextColumn("sensors"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
-        TextColumn("{task.fields[text]}"),
+        TextColumn("{task.fields[text]}", markup=False),
     )
     with Bar(*columns, console=console, disable=not is_watched()) as bar:
         task = bar.add_task("", total=None, text="")

@@ -16,6 +16,7 @@ from zerodrift.app.commands.init_toml import (
     write_config,
     write_selectors,
 )
+from zerodrift.app.trust import claim
 from zerodrift.base.clock_config import TIME_UNITS
 from zerodrift.base.config import FILE_NAME, TRAIN, Config, parse_config
 from zerodrift.base.errors import InputError, ZerodriftError
@@ -25,8 +26,10 @@ from zerodrift.dataset.guess_runs import LogFiles
 from zerodrift.dataset.selectors import list_files, order_path
 
 if TYPE_CHECKING:
+    from zerodrift.dataset.runs import Dataset
     from zerodrift.report.results import InitResult
 
+NOT_YET = "the logs cannot be used yet"
 #: Use -> words in a log's name that suggest it.
 USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}
 
@@ -71,6 +74,8 @@ def command(
     its logs, so that units of one design may get different ones, those chosen so far are written
     down: of a fleet those that hold the logs of every unit.
     """
+    from zerodrift.dataset.load import load_dataset
+
     target = directory / FILE_NAME
     if is_upgrade:
         if logs or force or interactive or period_s is not None:
@@ -97,33 +102,37 @@ def command(
         only = selectors[TRAIN][0]
         selectors = {"train": [f"{only}@0%:60%"], "test": [f"{only}@60%:100%"], "dwell": []}
     text = write_config(guess, selectors)
-    if told := _explain_tare(parse_config(text, target.absolute())):
-        guess = replace(
-            guess,
-            checks=(*guess.checks, f"[logs] tared is not stated: {told}"),
-            alternatives={**guess.alternatives, TARED: (told,)},
-        )
-        text = write_config(guess, selectors)
-        parse_config(text, target.absolute())
+    config = parse_config(text, target.absolute())
+    try:
+        told = _explain_tare(config, load_dataset(config))
+    except InputError as error:
+        guess = replace(guess, refused=str(error), checks=(*guess.checks, f"{NOT_YET}: {error}"))
+    else:
+        if told:
+            guess = replace(
+                guess,
+                checks=(*guess.checks, f"[logs] tared is not stated: {told}"),
+                alternatives={**guess.alternatives, TARED: (told,)},
+            )
+            text = write_config(guess, selectors)
     write_text(target, text)
+    claim(directory)
     if as_json:
         print_result(_summarise(target, guess, selectors))
         return
     click.echo(_describe_guess(target, guess, selectors))
 
 
-def _explain_tare(config: Config) -> str:
+def _explain_tare(config: Config, dataset: "Dataset") -> str:
     """Return why the logs look as if each had been zeroed by itself; "" where they do not.
 
-    What cannot be read or fitted yet is left to the next command, which names it.
+    What cannot be fitted yet is left to the next command, which names it.
     """
     import numpy as np
 
-    from zerodrift.dataset.load import load_dataset
     from zerodrift.physics.fit import fit_config
 
     try:
-        dataset = load_dataset(config)
         model = fit_config(config, dataset)
     except ZerodriftError:
         return ""
@@ -172,6 +181,7 @@ def ask(guess: Guess) -> Guess:
             f"{output.measured}: does it drift, and is it to be compensated?", default=True
         ):
             continue
+        alternatives.pop(f"outputs.{output.name}.measured", None)
         if f"outputs.{output.name}.unit" in guess.alternatives:
             unit = click.prompt(f"unit of {output.measured}", default=output.unit)
             output = replace(output, unit=unit, unit_from="you")  # noqa: PLW2901
@@ -281,4 +291,5 @@ def _describe_guess(target: Path, guess: Guess, selectors: dict[str, list[str]])
     lines += [f"  input        {name}: {column}" for name, column in guess.inputs.items()]
     lines += [f"  {use:<12} {', '.join(files)}" for use, files in selectors.items() if files]
     lines += [f"check: {check}" for check in guess.checks]
-    return "\n".join([*lines, "next: zerodrift compare"])
+    begin = "mend what the logs do not allow yet, then " if guess.refused else ""
+    return "\n".join([*lines, f"next: {begin}zerodrift compare"])

@@ -153,7 +153,8 @@ def _write_output(output: GuessedOutput, check: Mapping[str, tuple[str, ...]]) -
         reference = f"reference = {output.reference!r}{_write_check(check, f'{key}.reference')}"
     return [
         f"[outputs.{_write_key(output.name)}]",
-        f"measured = {_quote(output.measured)}  # column before compensation",
+        f"measured = {_quote(output.measured)}"
+        f"{_write_check(check, f'{key}.measured') or '  # column before compensation'}",
         reference,
         f"unit = {_quote(output.unit)}{_write_check(check, f'{key}.unit')}",
         f"full_scale = {output.full_scale:g}  # a guess from the largest value in the log",

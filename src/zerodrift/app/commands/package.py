@@ -36,6 +36,7 @@ def command(kind: str, directory: Path, sensor: str | None, as_json: bool) -> No
     """
     from zerodrift.app.commands.firmware import show_path
     from zerodrift.app.commands.project import open_config, refuse_shared_program
+    from zerodrift.app.trust import require_place
     from zerodrift.codegen.packages import render_package
     from zerodrift.export.model_files import load_model
     from zerodrift.report.results import PackageResult
@@ -44,6 +45,7 @@ def command(kind: str, directory: Path, sensor: str | None, as_json: bool) -> No
 
     refuse_shared_program(directory, sensor)
     config = open_config(directory, sensor)
+    require_place(config.firmware_out, config.directory)
     check = check_manifest(config).require(f"{show_path(config.firmware_out, config.directory)}/")
     print_notes(tuple(f"not checked: {n.what}: {n.why}" for n in check.not_checked))
     model = load_model(config.build_directory / "model.json")

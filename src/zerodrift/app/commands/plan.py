@@ -15,6 +15,7 @@ from zerodrift.app.commands.common import (
     print_result,
     sensor_option,
     skip_invalid_option,
+    trust_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
 from zerodrift.base.errors import InputError
@@ -108,6 +109,7 @@ class PlanOptions:
     metavar="FILE",
     help="Draw the programme into an HTML page.",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 @packed(PlanOptions)
@@ -121,7 +123,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
     """
     from zerodrift.app.commands.project import open_config
     from zerodrift.app.plan import find_plan, has_logs, keep_plan, load_limits
-    from zerodrift.app.trust import remember
+    from zerodrift.app.trust import require_trust
     from zerodrift.dataset.load import load_dataset
     from zerodrift.discovery.files import list_protocols, write_plan
     from zerodrift.discovery.plan import HOURS, Question
@@ -133,7 +135,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
         raise InputError(f"--picture {options.picture}: expected a name that ends in .html.")
     with show_progress("reading logs") as say:
         config = load_limits(open_config(directory, options.sensor), options.within)
-        remember(config.plugin_files)
+        require_trust(config.plugin_files, directory)
         dataset = load_dataset(config, skip_invalid) if has_logs(config) else None
         question = Question(
             hours=options.hours or config.experiment.hours or HOURS,

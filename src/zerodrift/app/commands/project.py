@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zerodrift.app.trust import remember
+from zerodrift.app.trust import require_trust
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.fleet_config import PLACEHOLDER
@@ -55,12 +55,13 @@ def open_project(
     """Return a project's configuration and logs, or those of one unit of a fleet.
 
     Raises:
-        InputError: zerodrift.toml or a log is missing or wrong.
+        InputError: zerodrift.toml or a log is missing or wrong, or the project brings files of
+            effects that the user does not agree to run.
     """
     from zerodrift.dataset.load import load_dataset
 
     config = open_config(directory, sensor)
-    remember(config.plugin_files)
+    require_trust(config.plugin_files, directory)
     try:
         return config, load_dataset(config, skip_invalid)
     except InputError as error:

@@ -14,6 +14,7 @@ from zerodrift.app.commands.common import (
     print_result,
     sensor_option,
     skip_invalid_option,
+    trust_option,
 )
 from zerodrift.app.commands.console import open_console, open_table, show_progress
 from zerodrift.base.errors import InputError
@@ -47,6 +48,7 @@ class ProposeOptions:
     show_default=True,
     help="Say how much more a lag bank and a GRU learn, on runs left out.",
 )
+@trust_option
 @json_option
 @skip_invalid_option
 @packed(ProposeOptions)
@@ -61,6 +63,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: Propose
     from zerodrift.app.commands.survey import keep_proposal
     from zerodrift.app.formula_search import search_formula
     from zerodrift.app.propose import explain_proposal, summarise_search
+    from zerodrift.app.trust import remember
     from zerodrift.diagnosis.formula.effect_file import render_file
 
     file = options.file
@@ -73,6 +76,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: Propose
         found = search_formula(config, dataset, say, black_box=options.black_box)
     formula = found.search.formula
     is_written = file is None or formula is None or write_once(file, render_file(formula))
+    if is_written and file is not None and formula is not None:
+        remember((file,))
     result = summarise_search(found, dataset, file if is_written else None)
     keep_proposal(config, dataset, result, explain_proposal(result, directory))
     print_notes(dataset.notes)

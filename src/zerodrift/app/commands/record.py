@@ -14,6 +14,7 @@ from zerodrift.app.commands.common import directory_option, json_option, packed,
 from zerodrift.app.commands.console import open_console, open_table
 from zerodrift.base.errors import InputError
 from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.terminal import open_terminal
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -264,10 +265,9 @@ def open_picture(*, quiet: bool) -> Iterator["Show"]:
         return show
 
     if is_watched() and not quiet:
-        from rich.console import Console
         from rich.live import Live
 
-        with Live(console=Console(stderr=True), transient=True, auto_refresh=False) as live:
+        with Live(console=open_terminal(stderr=True), transient=True, auto_refresh=False) as live:
             yield at_times(
                 lambda covered, silent: live.update(draw_covered(covered, silent), refresh=True)
             )

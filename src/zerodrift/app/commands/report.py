@@ -97,7 +97,6 @@ def command(
     directory: Path,
     sensor: str | None,
     options: ReportOptions,
-    trust: bool,
     as_json: bool,
     skip_invalid: bool,
 ) -> None:
@@ -115,7 +114,7 @@ def command(
     from zerodrift.report.dcc import describe_sensor, render_certificate
 
     config = load_config(directory)
-    require_trust(config.plugin_files, trusted=trust)
+    require_trust(config.plugin_files, directory)
     calibration = None
     if options.dcc is not None:
         calibration = name_unit(config.calibration, sensor)

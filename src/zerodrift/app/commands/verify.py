@@ -5,10 +5,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.app.commands.common import directory_option, json_option, print_result, sensor_option
+from zerodrift.app.commands.common import (
+    directory_option,
+    json_option,
+    print_result,
+    sensor_option,
+    trust_option,
+)
+from zerodrift.app.trust import is_trusted, require_code
 from zerodrift.base.errors import CheckError, InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from zerodrift.base.config import Config
     from zerodrift.verify.replay import Replay
 
@@ -16,6 +25,7 @@ if TYPE_CHECKING:
 @click.command()
 @directory_option
 @sensor_option
+@trust_option
 @json_option
 @click.option(
     "--require",
@@ -62,6 +72,10 @@ def command(
     over the golden vectors; names in the header are compared with the model, and every bound of
     certificate.json is derived again from the C. What cannot run here is told as not checked.
 
+    Nothing is built or run of files that differ from the manifest, unless by --trust; the lines in
+    which they differ from what is generated are told. C that this user's own zerodrift did not
+    write is asked about first, once for each content.
+
     Exit code 1: a file was changed, is missing or stale, a bit or a name in the header differs, a
     claim of the certificate does not hold, a core of --require was not checked, or with --prove
     something is not proven.
@@ -83,12 +97,25 @@ def command(
         return
     folders = (config.build_directory, config.firmware_out)
     with show_progress("verifying") as say:
-        outcome = read_together(directory, folders, lambda: replay(config, say, required))
+        outcome = read_together(
+            directory, folders, lambda: replay(config, say, required, consent=_Consent(config))
+        )
     if as_json:
         print_result(outcome.summarise())
     outcome.require(required)
     if not as_json:
         _print(outcome)
+
+
+class _Consent:
+    """What the user agrees to have built and run; see `zerodrift.verify.replay.Consent`."""
+
+    def __init__(self, config: "Config") -> None:
+        self.despite_changes = is_trusted()
+        self._folder = config.firmware_out
+
+    def require(self, texts: "Mapping[str, str]") -> None:
+        require_code(texts, self._folder)
 
 
 def _print(outcome: "Replay") -> None:

@@ -36,7 +36,6 @@ def command(
     port: int,
     no_browser: bool,
     sensor: str | None,
-    trust: bool,
     skip_invalid: bool,
 ) -> None:
     """Open a page on DIR: measurement, model and residual, the verdict, Add, Undo, firmware.
@@ -54,7 +53,7 @@ def command(
 
     if sensor is not None:
         open_config(directory, sensor)
-    require_trust(_list_plugins(directory), trusted=trust)
+    require_trust(_list_plugins(directory), directory)
     # Refused before a page is promised; the page itself holds the directory from then on.
     release_directory(hold_directory(directory.resolve()))
     early = EarlyPage(directory, port, sensor)
