@@ -110,16 +110,26 @@ class Firmware:
     """Written beside the C; empty where the gate refused."""
 
 
+@dataclass(frozen=True)
+class GateRequest:
+    """What the gate weighs beside the firmware itself."""
+
+    left_out: LeftOut | None = None
+    """Without test runs, predictions for runs by models that did not learn from them."""
+    against: tuple[Statement, ...] = ()
+    """What was found against the logs, before the gate is asked."""
+    force: bool = False
+    """Write what is refused, and mark the C with it."""
+
+
 def build_firmware(
     config: Config,
     dataset: Dataset,
     described: FloatModel,
     progress: Progress = lambda _: None,
     *,
-    left_out: LeftOut | None = None,
+    gate_request: GateRequest = GateRequest(),
     network: tuple[Path, ...] = (),
-    against: tuple[Statement, ...] = (),
-    force: bool = False,
     editions: Mapping[str, tuple[Edition, ...]] | None = None,
 ) -> Firmware:
     """Build the firmware of a float model and write it, if all bits agree and the gate lets
@@ -130,10 +140,8 @@ def build_firmware(
         dataset: its logs; the test runs are the held-out ones.
         described: the float model.
         progress: called with a description of each stage of the work.
-        left_out: without test runs, predictions for runs by models that did not learn from them.
+        gate_request: what the gate weighs beside the firmware, and whether it decides.
         network: the ONNX file that the network comes from.
-        against: what was found against the logs, before the gate is asked.
-        force: write what the gate refuses, and mark the C with it.
         editions: serial number -> blocks of that unit so far; a sequence follows from them.
 
     Returns:
@@ -153,9 +161,9 @@ def build_firmware(
         chip = check_chip(CORE, code, check.host, sequences, scratch / "chip")
         progress("measuring errors and sizes")
         runs = dataset.test or dataset.train
-        gate, replay = judge_firmware(described, check.host, dataset, left_out)
-        gate = replace(gate, refused=(*against, *gate.refused))
-        forced = tuple(statement.text for statement in gate.refused) if force else ()
+        gate, replay = judge_firmware(described, check.host, dataset, gate_request.left_out)
+        gate = replace(gate, refused=(*gate_request.against, *gate.refused))
+        forced = tuple(statement.text for statement in gate.refused) if gate_request.force else ()
         if forced:
             model, code = _mark_forced(model, code, "\n".join(forced))
         mean = fit_constant(dataset, tared=described.tared)
@@ -174,7 +182,7 @@ def build_firmware(
         progress("checking the certificate")
         certificate, outcome, bound = certify_checked(model, code, bound, scratch)
     files: tuple[Path, ...] = ()
-    if gate.passes or force:
+    if gate.passes or gate_request.force:
         progress("writing")
         golden = compute_golden(model, draw_golden(model, next(iter(sequences.values()))))
         files = write_artefacts(

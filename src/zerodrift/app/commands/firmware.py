@@ -188,9 +188,9 @@ def make_firmware(
         against: what was found against the logs, before anything was fitted.
     """
     from zerodrift.blocks.files import BLOCK
-    from zerodrift.field.editions import find_editions
     from zerodrift.c_runtime.host import render_sources
-    from zerodrift.verify.firmware import build_firmware
+    from zerodrift.field.editions import find_editions
+    from zerodrift.verify.firmware import GateRequest, build_firmware
 
     require_place(config.firmware_out, config.directory)
     with change_together(config.directory):
@@ -200,11 +200,9 @@ def make_firmware(
                 dataset,
                 described,
                 say,
-                left_out=left.judge(dataset),
-                force=force,
+                gate_request=GateRequest(left.judge(dataset), against, force),
                 network=network,
                 editions=find_editions(config.directory, (config.firmware_out / f"{BLOCK}.bin",)),
-                against=against,
             )
         result = summarise(firmware, config.directory)
         keep(result, config)
