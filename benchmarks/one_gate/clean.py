@@ -17,9 +17,9 @@ COUNT = 100
 MOST_TESTS = 2
 AGAIN = SPARE // MOST_TESTS
 """Times the test runs by which a stop of the gate is looked at again."""
-REFEREE, GATE, READ, PASSES, CRASH = (
-    *("stopped as wrong data", "stopped by the gate", "when read (exit code 2)"),
-    *("written", "crashed"),
+REFEREE, GATE, UNSAID, READ, PASSES, CRASH = (
+    *("stopped as wrong data", "stopped by the gate", "stopped without an entry"),
+    *("when read (exit code 2)", "written", "crashed"),
 )
 
 
@@ -51,7 +51,10 @@ def judge(answer: Answer) -> str:
         return PASSES if answer.code == 0 else READ
     if answer.code != 1:
         return CRASH
-    return REFEREE if any(e.of_data for e in answer.list_entries("refused")) else GATE
+    entries = answer.list_entries("refused")
+    if not entries:
+        return UNSAID
+    return REFEREE if any(entry.of_data for entry in entries) else GATE
 
 
 def examine(simulator: str, seed: int) -> Row:
@@ -90,14 +93,14 @@ def tell(rows: list[Row]) -> None:
         )
         for entry in row["entries"][:3]:
             print(f"    {entry['run']} {entry['column']} {entry['kind']}: {entry['text'][:150]}")
-        if row["outcome"] in (READ, CRASH):
+        if row["outcome"] in (READ, CRASH, UNSAID):
             print(f"    {row['message'][:200]}")
         if "again" in row:
             print(f"    with {AGAIN} times the test runs: {row['again']}")
     for simulator in (*SIMULATORS, ""):
         mine = [row for row in rows if simulator in ("", row["kind"])]
         print(f"clean sets, {simulator or 'all three'} (simulated)")
-        for outcome in (REFEREE, GATE, READ, CRASH):
+        for outcome in (REFEREE, GATE, UNSAID, READ, CRASH):
             count = sum(row["outcome"] == outcome for row in mine)
             print(f"    {outcome:26s} {tell_rate(count, len(mine), upper=True)}")
         stays = sum(row.get("again") in (GATE, REFEREE) for row in mine)

@@ -118,8 +118,8 @@ def _list_names(sensor: Sensor, touched: list[str]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-RIGHT, OTHER, GATE, READ, WRITTEN, CRASH = (
-    *("right", "another kind, run or column", "by the gate alone"),
+RIGHT, OTHER, GATE, UNSAID, READ, WRITTEN, CRASH = (
+    *("right", "another kind, run or column", "by the gate alone", "stopped without an entry"),
     *("when read (exit code 2)", "not stopped", "crashed"),
 )
 
@@ -135,6 +135,8 @@ def judge(case: Case, answer: Answer) -> str:
         return CRASH
     if any(case.fits(entry) for entry in entries):
         return RIGHT
+    if not entries:
+        return UNSAID
     return OTHER if any(entry.of_data for entry in entries) else GATE
 
 
@@ -213,9 +215,9 @@ def tell(rows: list[Row]) -> None:
         for entry in row["entries"][:4]:
             where = f"{entry['run'] or 'gate'} {entry['column']}"
             print(f"    {where} {entry['kind']}: {entry['text'][:150]}")
-        if row["message"] and row["outcome"] in (READ, CRASH):
+        if row["message"] and row["outcome"] in (READ, CRASH, UNSAID):
             print(f"    {row['message'][:200]}")
-    for outcome in (RIGHT, OTHER, GATE, READ, WRITTEN, CRASH):
+    for outcome in (RIGHT, OTHER, GATE, UNSAID, READ, WRITTEN, CRASH):
         count = sum(row["outcome"] == outcome for row in rows)
         print(f"{outcome:38s} {tell_rate(count, len(rows), upper=outcome != RIGHT)}")
     stopped = sum(row["outcome"] != WRITTEN for row in rows)

@@ -142,6 +142,7 @@ def test_only_the_run_the_column_and_the_fault_together_are_right() -> None:
     assert wrong.judge(case, say(right)) == wrong.RIGHT
     assert wrong.judge(case, say(gate, right)) == wrong.RIGHT
     assert wrong.judge(case, say(gate)) == wrong.GATE
+    assert wrong.judge(case, say()) == wrong.UNSAID
     for other in (
         Entry("kelvin", "another_run", TEMPERATURE, right.text),
         Entry("kelvin", case.run, "humidity_pct", right.text),
@@ -176,6 +177,7 @@ def test_a_clean_set_is_stopped_by_the_referee_or_by_the_gate() -> None:
     gate = Entry("worse_than_none", "", "", "Fz: ...")
     assert clean.judge(say(code=0)) == clean.PASSES
     assert clean.judge(say(gate)) == clean.GATE
+    assert clean.judge(say()) == clean.UNSAID
     assert clean.judge(say(gate, Entry("gain", "train_1", "Fz"))) == clean.REFEREE
 
 
