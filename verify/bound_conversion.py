@@ -33,7 +33,7 @@ class ConversionCheck:
     def __init__(
         self,
         told: object,
-        words: list[str],
+        words: Sequence[str],
         prefix: str,
         constants: Mapping[str, object],
     ) -> None:

@@ -5,7 +5,7 @@ what the C computes. Shares no code with the generator and needs the standard li
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -89,7 +89,7 @@ class _LookUpNumbers:
 
 
 def read_conversions(
-    words: list[str], prefix: str, constants: Mapping[str, object]
+    words: Sequence[str], prefix: str, constants: Mapping[str, object]
 ) -> dict[str, FieldConversion]:
     """Return field -> its conversion; empty where the model is given its codes as they are.
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from zerodrift.verify.c_expressions import Expressions
-from zerodrift.verify.c_lexer import TOKEN, Tokens, parse_integer
+from zerodrift.verify.c_lexer import TOKEN, ModelTokens, parse_integer
 from zerodrift.verify.c_nodes import (
     CAssign,
     CCall,
@@ -178,12 +178,12 @@ class BlockSet:
             cells.constant = True
 
 
-def has_block(tokens: Tokens, prefix: str) -> bool:
+def has_block(tokens: ModelTokens, prefix: str) -> bool:
     """Return whether the C is a design's, whose numbers lie in a block."""
     return f"{prefix}_block_t" in tokens.words
 
 
-def cut_known(tokens: Tokens, prefix: str) -> tuple[Tokens, int]:
+def cut_known(tokens: ModelTokens, prefix: str) -> tuple[ModelTokens, int]:
     """Return the tokens without the functions that are known texts, and the length that they ask.
 
     Raises:
@@ -205,7 +205,7 @@ def cut_known(tokens: Tokens, prefix: str) -> tuple[Tokens, int]:
     *_, told, summed = numbers
     if told != summed:
         raise NotUnderstoodError(f"{prefix}_check_block: a length of {told}, a CRC over {summed}")
-    return Tokens(words, spots, tokens.where, tokens.macros), told
+    return ModelTokens(words, spots, tokens.where, tokens.macros), told
 
 
 def _cut(words: list[str], spots: list[int], text: str, prefix: str) -> list[int]:

@@ -81,7 +81,7 @@ def parse_integer(token: str) -> tuple[int, bool, int]:
 
 
 @dataclass(frozen=True)
-class Line:
+class SourceLine:
     """A line that holds anything but comments."""
 
     name: str
@@ -105,14 +105,14 @@ class Line:
 
 
 @dataclass
-class Spots:
+class WordSpots:
     """Where words stand: each has a number, those of a line one after the other."""
 
-    lines: list[Line] = field(default_factory=list)
+    lines: list[SourceLine] = field(default_factory=list)
     firsts: list[int] = field(default_factory=list)
     count: int = 0
 
-    def add(self, line: Line, words: int) -> range:
+    def add(self, line: SourceLine, words: int) -> range:
         """Return the numbers of a line's words."""
         self.lines.append(line)
         self.firsts.append(self.count)
@@ -126,24 +126,24 @@ class Spots:
 
 
 @dataclass
-class Tokens:
+class ModelTokens:
     """Words of header and source, with the model's macros replaced."""
 
     words: list[str] = field(default_factory=list)
     spots: list[int] = field(default_factory=list)
     """The place of each word, as `where` knows it."""
-    where: Spots = field(default_factory=Spots)
+    where: WordSpots = field(default_factory=WordSpots)
     macros: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """The header's macros, by name."""
 
     @property
     def places(self) -> Sequence[str]:
         """file:line:column of each word; told apart only when asked."""
-        return _Places(self.spots, self.where)
+        return _TokenPlaces(self.spots, self.where)
 
 
-class _Places(Sequence[str]):
-    def __init__(self, spots: list[int], where: Spots) -> None:
+class _TokenPlaces(Sequence[str]):
+    def __init__(self, spots: list[int], where: WordSpots) -> None:
         self._spots, self._where = spots, where
 
     def __len__(self) -> int:
@@ -159,7 +159,7 @@ class _Places(Sequence[str]):
         return self._where.place(self._spots[at])
 
 
-def read_lines(text: str, name: str) -> list[Line]:
+def read_lines(text: str, name: str) -> list[SourceLine]:
     """Return the lines of a file that hold anything, comments left out.
 
     Args:
@@ -179,7 +179,7 @@ def read_lines(text: str, name: str) -> list[Line]:
         if found := pattern.search(blank):
             raise _refuse_at(text, name, found.start(), why)
     lines = enumerate(blank.split("\n"), 1)
-    return [Line(name, number, line.rstrip()) for number, line in lines if line.strip()]
+    return [SourceLine(name, number, line.rstrip()) for number, line in lines if line.strip()]
 
 
 _REFUSED = (
@@ -196,7 +196,7 @@ _REFUSED_IN_CODE = (
 
 def _refuse_at(text: str, name: str, at: int, why: str) -> NotUnderstoodError:
     before = text[:at]
-    return Line(name, before.count("\n") + 1, "").refuse(why, at - before.rfind("\n"))
+    return SourceLine(name, before.count("\n") + 1, "").refuse(why, at - before.rfind("\n"))
 
 
 def _blank(found: re.Match[str], text: str, name: str) -> str:
@@ -220,7 +220,7 @@ def _blank(found: re.Match[str], text: str, name: str) -> str:
     return re.sub(r"[^\n]", " ", told) if several else " " * len(told)
 
 
-def read_words(lines: Iterable[Line], allowed: Collection[str]) -> list[list[str]]:
+def read_words(lines: Iterable[SourceLine], allowed: Collection[str]) -> list[list[str]]:
     """Return the words of each line of code.
 
     Args:

@@ -12,7 +12,7 @@ from zerodrift.verify.c_checksum import is_summed
 from zerodrift.verify.c_guard import read_guard
 from zerodrift.verify.c_intervals import IntervalMachine
 from zerodrift.verify.c_kernels import RULES, STRUCTS
-from zerodrift.verify.c_lexer import NAMES_OF_TABLES, Tokens
+from zerodrift.verify.c_lexer import NAMES_OF_TABLES, ModelTokens
 from zerodrift.verify.c_names import ENTRIES, FURTHER, check_names
 from zerodrift.verify.c_nodes import (
     CField,
@@ -25,7 +25,7 @@ from zerodrift.verify.c_nodes import (
     Variable,
 )
 from zerodrift.verify.c_parser import parse
-from zerodrift.verify.c_preprocessor import SWITCHES, Build, PreprocessorWay, read_ways
+from zerodrift.verify.c_preprocessor import SWITCHES, Build, BuildWay, read_ways
 from zerodrift.verify.c_tables import read_lines
 from zerodrift.verify.c_values import (
     TYPES,
@@ -87,14 +87,14 @@ def read_models(texts: Mapping[str, str], prefix: str) -> "list[Model]":
     return models
 
 
-def _parse(tokens: Tokens, prefix: str) -> Program:
+def _parse(tokens: ModelTokens, prefix: str) -> Program:
     """Return what the words declare, under names that a model has."""
     program = parse(tokens, tuple(STRUCTS))
     check_names(program, prefix)
     return program
 
 
-def _list_chips(way: PreprocessorWay, tokens: Tokens) -> list[tuple[int, int]]:
+def _list_chips(way: BuildWay, tokens: ModelTokens) -> list[tuple[int, int]]:
     """Return the bits of int, and the words of scratch for two numbers, that a build can have."""
     if {"ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY"} & way.defined.keys():
         return [(32, 2)]
@@ -109,8 +109,8 @@ class Model(IntervalMachine):
 
     def __init__(
         self,
-        way: PreprocessorWay,
-        tokens: Tokens,
+        way: BuildWay,
+        tokens: ModelTokens,
         prefix: str,
         runtime: Runtime,
         int_bits: int = 32,
@@ -196,7 +196,7 @@ class Model(IntervalMachine):
         """Step a layer by assembly that is known."""
         run_assembly(self, name, arguments, self._texts)
 
-    def add_builds(self, way: PreprocessorWay, program: Program) -> None:
+    def add_builds(self, way: BuildWay, program: Program) -> None:
         """Let the model stand for all builds of a way, which differ from it in assembly alone."""
         self._texts += [(build, program.assembly) for build in way.builds]
 

@@ -54,10 +54,10 @@ def check_names(program: Program, prefix: str) -> None:
     Raises:
         NotUnderstoodError: a name of another kind, or in another place.
     """
-    _Names(program, prefix).check()
+    _NameCheck(program, prefix).check()
 
 
-class _Names:
+class _NameCheck:
     def __init__(self, program: Program, prefix: str) -> None:
         self._program, self._prefix = program, prefix
         self._entries = {f"{prefix}_{name}" for name in (*ENTRIES, *FURTHER, *OF_BLOCKS)}

@@ -152,7 +152,7 @@ class ExpressionParser:
             name = self.take() if self.look() in FUNCTIONS else self.take_name()
             node = CName(start, name)
             if self.take_if("("):
-                arguments = []
+                arguments = list[Expression]()
                 while not self.take_if(")"):
                     if arguments:
                         self.take(",")

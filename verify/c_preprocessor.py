@@ -16,9 +16,9 @@ from zerodrift.verify.c_lexer import (
     PREDEFINED,
     WORD,
     WRITTEN,
-    Line,
-    Spots,
-    Tokens,
+    ModelTokens,
+    SourceLine,
+    WordSpots,
     read_lines,
     read_words,
 )
@@ -33,17 +33,15 @@ SWITCHES: dict[str, tuple[int | None, ...]] = {
 }
 """What zd_runtime.h may define for a build, and as what; None: not at all, or as 0."""
 KERNELS = ("PORTABLE", "PAIRS", "ROWS", "COLUMNS")
-PAIRS = KERNELS.index("PAIRS")
+PAIRS, ROWS, COLUMNS = range(1, len(KERNELS))
 Build = Mapping[str, int]
 """What a build defines of SWITCHES."""
 CONDITIONS: dict[str, Callable[[Build], bool]] = {
-    **{
-        f"ZD_KERNEL == ZD_KERNEL_{name}": lambda build, k=number: build["ZD_KERNEL"] == k
-        for number, name in enumerate(KERNELS)
-        if number
-    },
+    "ZD_KERNEL == ZD_KERNEL_PAIRS": lambda build: build.get("ZD_KERNEL") == PAIRS,
+    "ZD_KERNEL == ZD_KERNEL_ROWS": lambda build: build.get("ZD_KERNEL") == ROWS,
+    "ZD_KERNEL == ZD_KERNEL_COLUMNS": lambda build: build.get("ZD_KERNEL") == COLUMNS,
     "(ZD_KERNEL == ZD_KERNEL_PAIRS) && defined(ZD_GRU_ASSEMBLY)": lambda build: (
-        build["ZD_KERNEL"] == PAIRS and "ZD_GRU_ASSEMBLY" in build
+        build.get("ZD_KERNEL") == PAIRS and "ZD_GRU_ASSEMBLY" in build
     ),
     "defined(ZD_GRU_ASSEMBLY)": lambda build: "ZD_GRU_ASSEMBLY" in build,
     "ZD_GRU_ASSEMBLY == 6": lambda build: build.get("ZD_GRU_ASSEMBLY") == 6,
@@ -84,7 +82,7 @@ STANDARD_MACROS = re.compile(
 
 
 @dataclass(frozen=True)
-class PreprocessorWay:
+class BuildWay:
     """One way through all conditions, and the builds that take it."""
 
     defined: Build
@@ -105,7 +103,7 @@ class PreprocessorWay:
 
 
 @dataclass
-class Stretch:
+class CodeStretch:
     """Words of code with no condition between them."""
 
     words: list[str] = field(default_factory=list)
@@ -113,10 +111,10 @@ class Stretch:
 
 
 @dataclass
-class Branch:
+class CodeBranch:
     """#if to #endif: what holds, and what stands there; () without a condition is #else's."""
 
-    arms: list[tuple[str, "list[Stretch | Branch]"]] = field(default_factory=list)
+    arms: list[tuple[str, "list[CodeStretch | CodeBranch]"]] = field(default_factory=list)
 
 
 def list_builds() -> Iterator[Build]:
@@ -126,14 +124,14 @@ def list_builds() -> Iterator[Build]:
     """
     for values in itertools.product(*SWITCHES.values()):
         build = {n: v for n, v in zip(SWITCHES, values, strict=True) if v is not None}
-        follows = build.get("ZD_GRU_ASSEMBLY") if build["ZD_KERNEL"] == PAIRS else None
+        follows = build.get("ZD_GRU_ASSEMBLY") if build.get("ZD_KERNEL") == PAIRS else None
         if build.get("ZD_ASSEMBLY") == follows:
             yield build
 
 
 def read_ways(
     texts: Mapping[str, str], prefix: str, known: Mapping[str, int]
-) -> list[tuple[PreprocessorWay, Tokens]]:
+) -> list[tuple[BuildWay, ModelTokens]]:
     """Return every different text that the preprocessor can make of header and source.
 
     Args:
@@ -145,10 +143,10 @@ def read_ways(
         NotUnderstoodError: something that the generator does not write, with file, line, column.
         FaultError: header, source and runtime do not belong together: it does not compile.
     """
-    where = Spots()
+    where = WordSpots()
     header = read_header(texts[f"{prefix}.h"], prefix, where)
     files = {name for name in texts if name.startswith("zd_") and name.endswith(".h")}
-    source = _Source(texts[f"{prefix}.c"], prefix, header, known, files)
+    source = _ModelSource(texts[f"{prefix}.c"], prefix, header, known, files)
     body = source.read()
     found: dict[tuple[int, ...], list[Build]] = {}
     for build in list_builds():
@@ -156,16 +154,16 @@ def read_ways(
     ways = []
     for choices, builds in found.items():
         defined = {name: value for name, value in builds[0].items() if name in source.asked}
-        tokens = Tokens(list(header.words), list(header.spots), where, header.macros)
+        tokens = ModelTokens(list(header.words), list(header.spots), where, header.macros)
         _take(body, iter(choices), tokens)
-        ways.append((PreprocessorWay(defined, tuple(builds)), tokens))
+        ways.append((BuildWay(defined, tuple(builds)), tokens))
     return ways
 
 
-def _choose(items: "list[Stretch | Branch]", build: Build) -> Iterator[int]:
+def _choose(items: "list[CodeStretch | CodeBranch]", build: Build) -> Iterator[int]:
     """Yield which arm of each #if a build takes, in order; the number of arms for none."""
     for item in items:
-        if isinstance(item, Branch):
+        if isinstance(item, CodeBranch):
             arms = enumerate(item.arms)
             at = next((k for k, (c, _) in arms if not c or CONDITIONS[c](build)), len(item.arms))
             yield at
@@ -173,24 +171,26 @@ def _choose(items: "list[Stretch | Branch]", build: Build) -> Iterator[int]:
                 yield from _choose(item.arms[at][1], build)
 
 
-def _take(items: "list[Stretch | Branch]", choices: Iterator[int], tokens: Tokens) -> None:
+def _take(
+    items: "list[CodeStretch | CodeBranch]", choices: Iterator[int], tokens: ModelTokens
+) -> None:
     """Add the words of the arms that are chosen."""
     for item in items:
-        if isinstance(item, Stretch):
+        if isinstance(item, CodeStretch):
             tokens.words += item.words
             tokens.spots += item.spots
         elif (at := next(choices)) < len(item.arms):
             _take(item.arms[at][1], choices, tokens)
 
 
-class _Lines:
+class _LineTaker:
     """Stands before a line and takes what follows."""
 
     def __init__(self, text: str, name: str) -> None:
         self.lines, self.at = read_lines(text, name), 0
-        self._end = Line(name, text.count("\n") + 1, "")
+        self._end = SourceLine(name, text.count("\n") + 1, "")
 
-    def look(self, ahead: int = 0) -> Line:
+    def look(self, ahead: int = 0) -> SourceLine:
         """Return a line and stay."""
         at = self.at + ahead
         return self.lines[at] if at < len(self.lines) else self._end
@@ -212,7 +212,7 @@ class _Lines:
         self.at += 1
         return found
 
-    def take_code(self) -> list[Line]:
+    def take_code(self) -> list[SourceLine]:
         """Return the lines up to the next directive."""
         start = self.at
         while self.at < len(self.lines) and self.look().text[0] != "#":
@@ -221,15 +221,17 @@ class _Lines:
 
 
 @dataclass
-class Header:
+class ModelHeader:
     """What a model's header gives the source."""
 
     words: list[str]
     spots: list[int]
-    where: Spots
+    where: WordSpots
     macros: dict[str, list[str]]
 
-    def add(self, lines: list[Line], to: "Stretch | Header", further: frozenset[str]) -> None:
+    def add(
+        self, lines: list[SourceLine], to: "CodeStretch | ModelHeader", further: frozenset[str]
+    ) -> None:
         """Add the words of lines of code, macros replaced by what they stand for.
 
         Args:
@@ -260,7 +262,7 @@ def check_prefix(prefix: str) -> None:
         raise NotUnderstoodError(f"'{prefix}' is no prefix of a model's names")
 
 
-def read_header(text: str, prefix: str, where: Spots) -> Header:
+def read_header(text: str, prefix: str, where: WordSpots) -> ModelHeader:
     """Return the macros and the words of a model's header.
 
     Args:
@@ -273,7 +275,7 @@ def read_header(text: str, prefix: str, where: Spots) -> Header:
     """
     check_prefix(prefix)
     upper = prefix.upper()
-    lines, header = _Lines(text, f"{prefix}.h"), Header([], [], where, {f"{upper}_H": []})
+    lines, header = _LineTaker(text, f"{prefix}.h"), ModelHeader([], [], where, {f"{upper}_H": []})
     lines.take(f"#ifndef {upper}_H", f"#define {upper}_H")
     if lines.look().text == "#include <stddef.h>":
         lines.at += 1
@@ -293,7 +295,7 @@ def read_header(text: str, prefix: str, where: Spots) -> Header:
     return header
 
 
-def _define(lines: _Lines, macros: dict[str, list[str]], prefix: str) -> None:
+def _define(lines: _LineTaker, macros: dict[str, list[str]], prefix: str) -> None:
     """Take a macro, or the two of an output."""
     line, own = lines.look(), f"{prefix.upper()}_"
     found = re.fullmatch(rf"#define ({own}(\w+)) (\S.*)", line.text)
@@ -330,20 +332,20 @@ def _define(lines: _Lines, macros: dict[str, list[str]], prefix: str) -> None:
     macros[name] = ["UINT32_C", "(", number, ")"] if as_macro else [value]
 
 
-class _Source:
+class _ModelSource:
     """Reads a model's source."""
 
     def __init__(
-        self, text: str, prefix: str, header: Header, known: Mapping[str, int], files: set[str]
+        self, text: str, prefix: str, header: ModelHeader, known: Mapping[str, int], files: set[str]
     ) -> None:
-        self._lines, self._prefix, self._header = _Lines(text, f"{prefix}.c"), prefix, header
+        self._lines, self._prefix, self._header = _LineTaker(text, f"{prefix}.c"), prefix, header
         self._known, self._files = known, files
         self._claims = False
         self._further = frozenset[str]()
         self.asked: set[str] = set()
         """The switches that conditions ask for."""
 
-    def read(self) -> "list[Stretch | Branch]":
+    def read(self) -> "list[CodeStretch | CodeBranch]":
         """Return what stands after the files that it includes and the tests that they fit."""
         lines = self._lines
         lines.take(f'#include "{self._prefix}.h"', '#include "zd_runtime.h"')
@@ -380,9 +382,9 @@ class _Source:
         if number is None or int(told, 0) != number:
             raise FaultError(f"{line.place()}: does not compile: {error.text}")
 
-    def _read_items(self, *, inside: bool) -> "list[Stretch | Branch]":
+    def _read_items(self, *, inside: bool) -> "list[CodeStretch | CodeBranch]":
         """Return what stands up to the end, or up to the #elif, #else or #endif of this branch."""
-        lines, items = self._lines, list[Stretch | Branch]()
+        lines, items = self._lines, list[CodeStretch | CodeBranch]()
         while text := lines.look().text:
             word = text.split(" ", 1)[0]
             if word == "#if":
@@ -397,13 +399,13 @@ class _Source:
                     f"'{text[:60]}': no directive that the generator writes here"
                 )
             else:
-                stretch = Stretch()
+                stretch = CodeStretch()
                 self._header.add(lines.take_code(), stretch, self._further)
                 items.append(stretch)
         return items
 
-    def _read_branch(self) -> Branch:
-        lines, branch = self._lines, Branch()
+    def _read_branch(self) -> CodeBranch:
+        lines, branch = self._lines, CodeBranch()
         begun = lines.look()
         word = "#if"
         while word != "#endif":

@@ -4,12 +4,12 @@ import pytest
 
 from tests.certificate.refused import FILES, NAME, H
 from zerodrift.verify.c_header import find_wrong_indices
-from zerodrift.verify.c_lexer import Spots
+from zerodrift.verify.c_lexer import WordSpots
 from zerodrift.verify.c_preprocessor import read_header
 
 
 def find(header: str) -> list[str]:
-    return find_wrong_indices(read_header(header, NAME, Spots()).macros, NAME)
+    return find_wrong_indices(read_header(header, NAME, WordSpots()).macros, NAME)
 
 
 def test_a_header_as_it_is_made_has_every_place_once() -> None:
