@@ -17,13 +17,7 @@ from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
 from zerodrift.verify.object_image import Image, Kernel, read_image
 from zerodrift.verify.object_kernels import Ranges, prove_kernel
 from zerodrift.verify.prove_kernels import Layers, Numbered
-from zerodrift.verify.prove_packing import (
-    Tables,
-    pack_before,
-    pack_bytes,
-    pack_lstm_bytes,
-    pack_pairs,
-)
+from zerodrift.verify.prove_packing import pack_assembly
 
 ARMV6M, ARMV7EM = 6, 7
 """What the C's ZD_ASSEMBLY says."""
@@ -233,13 +227,7 @@ def _find_difference(image: Image, kernel: Kernel, layer: Numbered) -> str:
         int.from_bytes(content[k : k + 4], "little", signed=True)
         for k in range(0, len(content), 4)
     ]  # fmt: skip
-    scaled = bool(layer.multiplier)
-    orders: dict[str, Callable[[Numbered], Tables]] = {
-        "gru": pack_bytes if scaled else pack_pairs,
-        "gru before": pack_before,
-        "lstm": pack_lstm_bytes if scaled else pack_pairs,
-    }
-    if orders[layer.kind](layer) != (words,):
+    if pack_assembly(layer) != (words,):
         return (
             f"{layer.name}_stream holds other numbers than model.json: the program was built from"
             " another model or before the last `zerodrift firmware`"

@@ -33,7 +33,7 @@ from zerodrift.verify.prove_reader import preprocess
 from zerodrift.verify.prove_rules import Used, exact, make_rules
 from zerodrift.verify.prove_specification import Outcome, Specification
 from zerodrift.verify.prove_state import CHECK, DRIFT, IDENTITY, SLEPT, STEPS, TARED, State
-from zerodrift.verify.prove_syntax import TypeName
+from zerodrift.verify.prove_syntax import PTypeName
 from zerodrift.verify.prove_terms import UndecidedError, Whole
 from zerodrift.verify.prove_types import TYPES
 
@@ -170,7 +170,7 @@ class Proof:
     def _compare_fields(self, kind: str, wanted: list[tuple[str, str, tuple[int, ...]]]) -> str:
         """Compare names, types and sizes, in order: how a struct lies in memory."""
         fields = self.program.structs.get(f"{self.prefix}_{kind}_t", ())
-        plain = all(f.type == TypeName(f.type.name) for f in fields)
+        plain = all(f.type == PTypeName(f.type.name) for f in fields)
         found = [
             (f.name, f.type.name, tuple(exact(self.machine.evaluate(s)) for s in f.sizes))
             for f in fields

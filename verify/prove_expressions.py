@@ -8,21 +8,21 @@ from collections.abc import Sequence
 
 from zerodrift.verify.prove_reader import is_runtime, read_integer
 from zerodrift.verify.prove_syntax import (
-    CBinary,
-    CCall,
-    CCast,
-    CChoose,
-    CField,
-    CIndex,
-    CInteger,
-    CName,
-    CSizeof,
-    CTyped,
-    CUnary,
     Expression,
-    Program,
-    Tokens,
-    TypeName,
+    PBinary,
+    PCall,
+    PCast,
+    PChoose,
+    PField,
+    PIndex,
+    PInteger,
+    PName,
+    PProgram,
+    PSizeof,
+    PTokens,
+    PTyped,
+    PTypeName,
+    PUnary,
 )
 from zerodrift.verify.prove_tokens import AGAIN, RefusedError
 from zerodrift.verify.prove_types import TYPES
@@ -60,12 +60,12 @@ TYPED = {f"{kind.upper()}_C": f"{kind}_t" for kind in ("uint32", "int64", "uint6
 NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
-class ExpressionParser:
+class PExpressionParser:
     """Stands before a word and takes what follows."""
 
-    def __init__(self, tokens: Tokens, struct_types: Sequence[str] = ()) -> None:
+    def __init__(self, tokens: PTokens, struct_types: Sequence[str] = ()) -> None:
         """Stand before the first word."""
-        self.program, self.at = Program(tokens), 0
+        self.program, self.at = PProgram(tokens), 0
         self._words = tokens.words
         self._types = {*TYPES, "void", "size_t", "uintptr_t", *struct_types}
 
@@ -125,7 +125,7 @@ class ExpressionParser:
 
     # --- types
 
-    def read_type(self) -> TypeName:
+    def read_type(self) -> PTypeName:
         """Take a type as it stands before a name."""
         said = []
         while self.look() in ("const", "volatile"):
@@ -141,7 +141,7 @@ class ExpressionParser:
         pointer = self.take_if("*")
         if pointer:
             self.take_if("const")
-        return TypeName(name, "const" in said, pointer, "volatile" in said)
+        return PTypeName(name, "const" in said, pointer, "volatile" in said)
 
     def begins_type(self, ahead: int = 0) -> bool:
         """Return whether a type stands here."""
@@ -158,13 +158,13 @@ class ExpressionParser:
             return condition
         first = self.expression()
         self.take(":")
-        return CChoose(start, condition, first, self.expression())
+        return PChoose(start, condition, first, self.expression())
 
     def _binary(self, floor: int) -> Expression:
         start, left = self.at, self.unary()
         while BINDING.get(self.look(), 0) > floor:
             operator = self.take()
-            left = CBinary(start, operator, left, self._binary(BINDING[operator]))
+            left = PBinary(start, operator, left, self._binary(BINDING[operator]))
         return left
 
     def unary(self) -> Expression:
@@ -172,17 +172,17 @@ class ExpressionParser:
         start, word = self.at, self.look()
         if word in ("-", "+", "~", "!", "&", "*"):
             self.take()
-            return CUnary(start, word, self.unary())
+            return PUnary(start, word, self.unary())
         if word == "sizeof":
             self.take_all("sizeof", "(")
             of = self.take() if self.look() in self._types else self.unary()
             self.take(")")
-            return CSizeof(start, of)
+            return PSizeof(start, of)
         if word == "(" and self.begins_type(1):
             self.take("(")
             kind = self.read_type()
             self.take(")")
-            return CCast(start, kind, self.unary())
+            return PCast(start, kind, self.unary())
         return self._postfix()
 
     def _postfix(self) -> Expression:
@@ -191,10 +191,10 @@ class ExpressionParser:
         while self.look() in ("[", "->", "."):
             operator = self.take()
             if operator == "[":
-                node = CIndex(start, node, self.expression())
+                node = PIndex(start, node, self.expression())
                 self.take("]")
             else:
-                node = CField(start, node, operator, self.take_name())
+                node = PField(start, node, operator, self.take_name())
         return node
 
     def _primary(self) -> Expression:
@@ -205,20 +205,20 @@ class ExpressionParser:
             return node
         if self.look()[:1].isdigit():
             word = self.take()
-            return CInteger(start, word, read_integer(word), word.endswith("u"))
+            return PInteger(start, word, read_integer(word), word.endswith("u"))
         if self.look() in TYPED:
             return self._read_typed()
         name = self.take_name()
         if not self.take_if("("):
-            return CName(start, name)
+            return PName(start, name)
         arguments: list[Expression] = []
         while not self.take_if(")"):
             if arguments:
                 self.take(",")
             arguments.append(self.expression())
-        return CCall(start, name, tuple(arguments))
+        return PCall(start, name, tuple(arguments))
 
-    def _read_typed(self) -> CTyped:
+    def _read_typed(self) -> PTyped:
         """INT64_C(n), whose n is joined with a suffix: one number without one, and its sign."""
         start = self.at
         kind = TYPED[self.take()]
@@ -231,4 +231,4 @@ class ExpressionParser:
         if abs(number) > TYPES[kind][1]:
             raise self.error(f"{number} is no {kind} as C writes it")
         self.take(")")
-        return CTyped(start, number, kind)
+        return PTyped(start, number, kind)

@@ -7,7 +7,7 @@ its type, and nothing else may be defined.
 
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.header import SAVED_EXTRA_BYTES, list_expected
-from zerodrift.verify.prove_syntax import Program
+from zerodrift.verify.prove_syntax import PProgram
 
 UNSIGNED = ("MODEL_ID", "SAMPLE_PERIOD_US", "FLAG_", "FAULT_")
 """Macros that begin so, behind the prefix, are of uint32_t; other numbers are plain ones."""
@@ -16,7 +16,7 @@ UNTOLD = ("H", "CODE_ID")
 generations."""
 
 
-def find_difference(model: IntegerModel, prefix: str, program: Program) -> str:
+def find_difference(model: IntegerModel, prefix: str, program: PProgram) -> str:
     """Return what a header says otherwise than the model; "" where all is the same.
 
     Args:
@@ -27,7 +27,7 @@ def find_difference(model: IntegerModel, prefix: str, program: Program) -> str:
     return _compare_macros(model, prefix, program) or _compare_functions(model, prefix, program)
 
 
-def _compare_macros(model: IntegerModel, prefix: str, program: Program) -> str:
+def _compare_macros(model: IntegerModel, prefix: str, program: PProgram) -> str:
     upper = f"{prefix.upper()}_"
     wanted = {
         name: _write(name.removeprefix(upper), value)
@@ -54,7 +54,7 @@ def _write(name: str, value: int | str) -> str:
     return f"UINT32_C({value})" if name.startswith(UNSIGNED) else str(value)
 
 
-def _compare_functions(model: IntegerModel, prefix: str, program: Program) -> str:
+def _compare_functions(model: IntegerModel, prefix: str, program: PProgram) -> str:
     wanted = {f"{prefix}_{name}": told for name, told in _list_functions(model, prefix).items()}
     for name in (*wanted, *sorted(program.public)):
         found = program.declared.get(name) if name in program.public else None

@@ -20,32 +20,32 @@ from zerodrift.verify.prove_memory import (
 )
 from zerodrift.verify.prove_paths import PathMachine
 from zerodrift.verify.prove_syntax import (
-    CAlone,
-    CAssign,
-    CBinary,
-    CBlock,
-    CCall,
-    CCast,
-    CChoose,
-    CDeclare,
-    CField,
-    CIf,
-    CIndex,
-    CInteger,
-    CList,
-    CName,
-    CNode,
-    CNumbers,
-    CReturn,
-    CSizeof,
-    CTyped,
-    CUnary,
-    CWhile,
     Expression,
     Initialiser,
-    Program,
+    PAlone,
+    PAssign,
+    PBinary,
+    PBlock,
+    PCall,
+    PCast,
+    PChoose,
+    PDeclare,
+    PField,
+    PIf,
+    PIndex,
+    PInteger,
+    PList,
+    PName,
+    PNode,
+    PNumbers,
+    PProgram,
+    PReturn,
+    PSizeof,
+    PTyped,
+    PUnary,
+    PVariable,
+    PWhile,
     Statement,
-    Variable,
     walk,
 )
 from zerodrift.verify.prove_terms import UndecidedError, Whole
@@ -62,7 +62,7 @@ Rule: TypeAlias = "Callable[[TermMachine, list[Found]], Found]"
 class TermMachine(PathMachine):
     """Runs functions of a program."""
 
-    def __init__(self, program: Program, rules: dict[str, Rule]) -> None:
+    def __init__(self, program: PProgram, rules: dict[str, Rule]) -> None:
         """Read the constants.
 
         Args:
@@ -73,7 +73,7 @@ class TermMachine(PathMachine):
         self.program, self.rules = program, rules
         self.globals: dict[str, Holder] = {}
         self.watch: dict[str, dict[str, Holder]] = {}
-        """Function -> the variables that its last call ended with, of those asked for."""
+        """PFunction -> the variables that its last call ended with, of those asked for."""
         self.forking = False
         """Whether every condition that is not known is a path of its own."""
         self._at = 0
@@ -134,7 +134,7 @@ class TermMachine(PathMachine):
             return self.convert(result, function.result)
         return result
 
-    def _bind(self, parameter: Variable, argument: Found) -> None:
+    def _bind(self, parameter: PVariable, argument: Found) -> None:
         name, kind = parameter.name, parameter.type
         if name in self.variables:
             raise UndecidedError(f"two parameters {name}")
@@ -166,29 +166,29 @@ class TermMachine(PathMachine):
         self._at = node.at
         self.count_statement()
         match node:
-            case CBlock():
+            case PBlock():
                 outer = self.variables
                 self.variables = dict(outer)
                 ended = self._run_all(node.statements)
                 if self.depth and not ended:
                     self.variables = outer
                 return ended
-            case CReturn():
+            case PReturn():
                 self._returned = None if node.value is None else self.evaluate(node.value)
                 return True
-            case CIf():
+            case PIf():
                 return self._branch(node)
-            case CWhile():
+            case PWhile():
                 return self._repeat(node)
-            case CDeclare():
+            case PDeclare():
                 self._declare(node.variable, self.variables)
-            case CAssign():
+            case PAssign():
                 self._assign(node)
-            case CAlone():
+            case PAlone():
                 self.evaluate(node.of)
         return False
 
-    def _branch(self, node: CIf) -> bool:
+    def _branch(self, node: PIf) -> bool:
         truth = self.truth(node.condition)
         if truth.exact is None and (self.forking or _returns(node)):
             way = self.fork(2) == 0
@@ -226,7 +226,7 @@ class TermMachine(PathMachine):
             block.cells[at] = before
         return after
 
-    def _repeat(self, node: CWhile) -> bool:
+    def _repeat(self, node: PWhile) -> bool:
         for _ in range(MOST_ROUNDS):
             truth = self.truth(node.condition)
             if truth.exact is None:
@@ -237,7 +237,7 @@ class TermMachine(PathMachine):
                 raise UndecidedError("a loop that returns")
         raise UndecidedError(f"a loop of more than {MOST_ROUNDS} rounds")
 
-    def _declare(self, variable: Variable, into: dict[str, Holder]) -> None:
+    def _declare(self, variable: PVariable, into: dict[str, Holder]) -> None:
         kind, name, first = variable.type, variable.name, variable.first
         if name in into and (into is self.globals or name not in self.variables):
             raise UndecidedError(f"{name} stands here twice")
@@ -253,8 +253,8 @@ class TermMachine(PathMachine):
         if kind.name in self.program.structs:
             if sizes:
                 raise UndecidedError(f"an array of {kind.name}")
-            zero = isinstance(first, CNumbers) and first.numbers == [0]
-            if isinstance(first, CNumbers | CList) and not zero:
+            zero = isinstance(first, PNumbers) and first.numbers == [0]
+            if isinstance(first, PNumbers | PList) and not zero:
                 into[name] = self._fill_struct(kind.name, name, first)
             elif first is None or zero:
                 into[name] = self.make_instance(kind.name, name, zero)
@@ -278,11 +278,11 @@ class TermMachine(PathMachine):
         inner = 1
         for size in sizes[1:]:
             inner *= size
-        if isinstance(first, CNumbers) and len(sizes) == 1:
+        if isinstance(first, PNumbers) and len(sizes) == 1:
             found: list[Cell] = [self._fit_constant(n, kind) for n in first.numbers]
-        elif isinstance(first, CNumbers) and first.numbers == [0]:
+        elif isinstance(first, PNumbers) and first.numbers == [0]:
             found = [self.terms.constant(0)]
-        elif isinstance(first, CList):
+        elif isinstance(first, PList):
             found = [c for item in first.items for c in self._initial(item, kind, sizes[1:])]
         else:
             raise UndecidedError("how an array begins")
@@ -296,12 +296,12 @@ class TermMachine(PathMachine):
             raise UndecidedError(f"{value} does not fit {kind}")
         return self.terms.constant(value)
 
-    def _fill_struct(self, kind: str, name: str, first: CNumbers | CList) -> Instance:
+    def _fill_struct(self, kind: str, name: str, first: PNumbers | PList) -> Instance:
         made = self.make_instance(kind, name)
-        numbers = isinstance(first, CNumbers)
+        numbers = isinstance(first, PNumbers)
         items: Sequence[Initialiser] = (
-            [CInteger(first.at, str(n), n) for n in first.numbers]
-            if isinstance(first, CNumbers)
+            [PInteger(first.at, str(n), n) for n in first.numbers]
+            if isinstance(first, PNumbers)
             else first.items
         )
         if len(items) != len(made.fields) or (numbers and not items):
@@ -322,7 +322,7 @@ class TermMachine(PathMachine):
                 block.cells = self._initial(item, block.type, block.sizes)
         return made
 
-    def _assign(self, node: CAssign) -> None:
+    def _assign(self, node: PAssign) -> None:
         place = self.locate(node.target)
         if isinstance(place, Instance):
             source = self.locate(node.source)
@@ -371,33 +371,33 @@ class TermMachine(PathMachine):
         """Return what an expression gives; of an array or a struct, where it lies."""
         self._at = node.at
         match node:
-            case CInteger():
+            case PInteger():
                 return self._literal(node)
-            case CTyped():
+            case PTyped():
                 return self.constant(node.number, node.type)
-            case CBinary():
+            case PBinary():
                 return self._binary(node)
-            case CName() | CField() | CIndex():
+            case PName() | PField() | PIndex():
                 found = self.locate(node)
                 if isinstance(found, Spot) and not found.sizes:
                     return self.load(found)
                 return found
-            case CCall():
+            case PCall():
                 return self._call(node)
-            case CCast():
+            case PCast():
                 return self._cast(node)
-            case CUnary():
+            case PUnary():
                 return self._unary(node)
-            case CChoose():
+            case PChoose():
                 return self._choose(node)
-            case CSizeof():
+            case PSizeof():
                 return self._size_of(node)
         raise UndecidedError("a list where an expression is expected")
 
     def locate(self, node: Expression) -> Found:
         """Return where a variable, a field or an element lies."""
         match node:
-            case CName():
+            case PName():
                 holder = self.variables.get(node.name) or self.globals.get(node.name)
                 if holder is None:
                     limit = LIMITS.get(node.name)
@@ -408,19 +408,19 @@ class TermMachine(PathMachine):
                 if isinstance(holder, Instance):
                     return holder
                 return Spot(holder, self.terms.constant(0), holder.sizes)
-            case CField():
+            case PField():
                 of = self.evaluate(node.of) if node.operator == "->" else self.locate(node.of)
                 instance = of.of if isinstance(of, AddressOf) and not of.bytes else of
                 if not isinstance(instance, Instance) or node.name not in instance.fields:
                     raise UndecidedError(f"{node.operator}{node.name}")
                 block = instance.fields[node.name]
                 return Spot(block, self.terms.constant(0), block.sizes)
-            case CIndex():
+            case PIndex():
                 array, index = self.evaluate(node.of), self.number(node.index).term
                 if not isinstance(array, Spot):
                     raise UndecidedError("an index into something that is no array")
                 return self._element(array, index)
-            case CUnary() if node.operator == "*":
+            case PUnary() if node.operator == "*":
                 found = self.evaluate(node.of)
                 if isinstance(found, AddressOf):
                     return found.of
@@ -440,7 +440,7 @@ class TermMachine(PathMachine):
         at = self.terms.add(array.at, self.terms.scale(index, stride))
         return Spot(array.block, at, tuple(inner))
 
-    def _literal(self, node: CInteger) -> Number:
+    def _literal(self, node: PInteger) -> Number:
         kinds = ["int32_t", "uint32_t", "int64_t", "uint64_t"]
         decimal = node.token[0] != "0" or node.number == 0
         for kind in kinds:
@@ -451,7 +451,7 @@ class TermMachine(PathMachine):
                 return self.constant(node.number, kind)
         raise UndecidedError(f"{node.token} has no type")
 
-    def _size_of(self, node: CSizeof) -> Number:
+    def _size_of(self, node: PSizeof) -> Number:
         """Return the size of a struct: a number of its own for each, which a compiler knows."""
         kind = node.of
         if not isinstance(kind, str):
@@ -467,7 +467,7 @@ class TermMachine(PathMachine):
         """Return the size of a struct."""
         return Number(self.terms.symbol(f"sizeof {kind}", 1, 2**31), "uint64_t")
 
-    def _binary(self, node: CBinary) -> Found:
+    def _binary(self, node: PBinary) -> Found:
         if node.operator in ("&&", "||"):
             first = self.truth(node.left)
             if first.exact is not None and first.exact == int(node.operator == "||"):
@@ -484,9 +484,9 @@ class TermMachine(PathMachine):
             return self.constant(int(node.operator == "!="))  # a pointer to something
         raise UndecidedError(f"{node.operator} of these")
 
-    def _unary(self, node: CUnary) -> Found:
+    def _unary(self, node: PUnary) -> Found:
         if node.operator == "&":
-            if isinstance(node.of, CIndex):
+            if isinstance(node.of, PIndex):
                 array, index = self.evaluate(node.of.of), self.number(node.of.index).term
                 if not isinstance(array, Spot) or len(array.sizes) > 1:
                     raise UndecidedError("an address in something that is no row")
@@ -511,7 +511,7 @@ class TermMachine(PathMachine):
             return self.fit(self.terms.subtract(self.terms.constant(-1), x), kind)
         return Number(self.terms.equal(x, self.terms.constant(0)), "int32_t")
 
-    def _cast(self, node: CCast) -> Found:
+    def _cast(self, node: PCast) -> Found:
         value, kind = self.evaluate(node.of), node.type
         if kind.name == "void" and not kind.pointer:
             return None
@@ -523,7 +523,7 @@ class TermMachine(PathMachine):
             raise UndecidedError("a cast")
         return self.convert(value, kind.name)
 
-    def _choose(self, node: CChoose) -> Found:
+    def _choose(self, node: PChoose) -> Found:
         truth = self.truth(node.condition)
         if truth.exact is not None:
             other = node.second if truth.exact else node.first
@@ -546,7 +546,7 @@ class TermMachine(PathMachine):
         except UndecidedError:
             return otherwise
 
-    def _call(self, node: CCall) -> Found:
+    def _call(self, node: PCall) -> Found:
         name = node.name
         arguments = [self.evaluate(argument) for argument in node.arguments]
         self._at = node.at
@@ -566,13 +566,13 @@ def refuse_other_type(kind: str, given: Spot, name: str) -> None:
         raise UndecidedError(f"another type than {kind} given for {name}")
 
 
-def _returns(node: CNode) -> bool:
-    return any(isinstance(part, CReturn) for part in walk(node))
+def _returns(node: PNode) -> bool:
+    return any(isinstance(part, PReturn) for part in walk(node))
 
 
-def _has_effect(node: CNode) -> bool:
+def _has_effect(node: PNode) -> bool:
     """Whether it calls anything that is not known to change nothing."""
-    calls = [part.name for part in walk(node) if isinstance(part, CCall)]
+    calls = [part.name for part in walk(node) if isinstance(part, PCall)]
     return any(
         not name.startswith("zd_round_shift") and not name.endswith(("_is_sound", "_sum_up"))
         for name in calls

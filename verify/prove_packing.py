@@ -167,3 +167,10 @@ def _pack_rows(layer: Numbered, passes: Sequence[slice]) -> Tables:
     weights = lay((False,) if scaled else (False, True))
     small = lay((True,)) if scaled else []
     return weights, small, spread(_biases), spread(_multipliers) if scaled else []
+
+
+def pack_assembly(layer: Numbered) -> Tables:
+    """Return the stream of a layer in assembly, which its kind and its weights tell."""
+    if layer.multiplier:
+        return pack_lstm_bytes(layer) if layer.kind == "lstm" else pack_bytes(layer)
+    return pack_before(layer) if layer.kind == "gru before" else pack_pairs(layer)

@@ -9,27 +9,27 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from zerodrift.verify.prove_expressions import ExpressionParser
+from zerodrift.verify.prove_expressions import PExpressionParser
 from zerodrift.verify.prove_syntax import (
-    CAlone,
-    CAssign,
-    CBlock,
-    CCall,
-    CDeclare,
-    CIf,
-    CInteger,
-    CList,
-    CNumbers,
-    CReturn,
-    CWhile,
     Expression,
-    Function,
     Initialiser,
-    Program,
+    PAlone,
+    PAssign,
+    PBlock,
+    PCall,
+    PDeclare,
+    PFunction,
+    PIf,
+    PInteger,
+    PList,
+    PNumbers,
+    PProgram,
+    PReturn,
+    PTokens,
+    PTypeName,
+    PVariable,
+    PWhile,
     Statement,
-    Tokens,
-    TypeName,
-    Variable,
 )
 from zerodrift.verify.prove_types import TYPES
 
@@ -42,7 +42,7 @@ TABLE_NAME = re.compile(r"ZD_(?:TANH|SIGMOID)_\w+_NAME")
 """In assembly: the linker's name of a table of the runtime."""
 
 
-def parse_all(tokens: Tokens, prefix: str) -> Program:
+def parse_all(tokens: PTokens, prefix: str) -> PProgram:
     """Read all declarations of a model and its runtime.
 
     Args:
@@ -52,16 +52,16 @@ def parse_all(tokens: Tokens, prefix: str) -> Program:
     Raises:
         RefusedError: something without a rule.
     """
-    parser = Parser(tokens, prefix)
+    parser = PParser(tokens, prefix)
     while parser.at < len(tokens.words):
         parser.read_declaration()
     return parser.program
 
 
-class Parser(ExpressionParser):
+class PParser(PExpressionParser):
     """Takes statements and declarations."""
 
-    def __init__(self, tokens: Tokens, prefix: str, struct_types: Sequence[str] = ()) -> None:
+    def __init__(self, tokens: PTokens, prefix: str, struct_types: Sequence[str] = ()) -> None:
         """Stand before the first word."""
         super().__init__(tokens, struct_types)
         self._prefix = prefix
@@ -116,13 +116,13 @@ class Parser(ExpressionParser):
             self.take_all("]", ";")
             return
         self.take_all("struct", "{")
-        fields: list[Variable] = []
+        fields: list[PVariable] = []
         while not self.take_if("}"):
             start, kind = self.at, self.read_type()
             name = self.take_new()
             if any(name == field.name for field in fields):
                 raise self.error(f"a field {name} a second time")
-            fields.append(Variable(kind, name, self._read_sizes(), start))
+            fields.append(PVariable(kind, name, self._read_sizes(), start))
             self.take(";")
         name = self._name_new()
         self.take(";")
@@ -144,10 +144,10 @@ class Parser(ExpressionParser):
             raise self.error(f"{name} is no constant of this file")
         sizes = self._read_sizes()
         self.take("=")
-        self.program.constants.append(Variable(kind, name, sizes, start, self._initialiser()))
+        self.program.constants.append(PVariable(kind, name, sizes, start, self._initialiser()))
         self.take(";")
 
-    def _read_function(self, kind: TypeName, static: bool) -> None:
+    def _read_function(self, kind: PTypeName, static: bool) -> None:
         in_runtime, name = self.in_runtime, self.take_new()
         if not in_runtime:
             self._check_function(name, static)
@@ -170,8 +170,8 @@ class Parser(ExpressionParser):
                 return
             if naked or in_register or not (kind.pointer or kind.name in {*TYPES, "void"}):
                 raise self.error(f"{name} is no function in C")
-            body = CBlock(self.at, tuple(self._read_braces()))
-        self.program.functions[name] = Function(name, kind.name, tuple(parameters), body)
+            body = PBlock(self.at, tuple(self._read_braces()))
+        self.program.functions[name] = PFunction(name, kind.name, tuple(parameters), body)
 
     def _check_function(self, name: str, static: bool) -> None:
         """A function of a model's file is one of the header's, or none that others see."""
@@ -195,10 +195,10 @@ class Parser(ExpressionParser):
         place = self.program.tokens.places[self.at]
         return place.startswith(f"{self._prefix}.h:")
 
-    def _read_parameters(self) -> tuple[list[Variable], bool]:
+    def _read_parameters(self) -> tuple[list[PVariable], bool]:
         """Return the parameters, and whether all of them are in registers, for assembly."""
         self.take("(")
-        parameters: list[Variable] = []
+        parameters: list[PVariable] = []
         registers = 0
         if self.look() == "void" and self.look(1) == ")":
             self.take_all("void", ")")
@@ -207,7 +207,7 @@ class Parser(ExpressionParser):
             if parameters:
                 self.take(",")
             start, kind = self.at, self.read_type()
-            parameters.append(Variable(kind, self._name_new(), self._read_sizes(), start))
+            parameters.append(PVariable(kind, self._name_new(), self._read_sizes(), start))
             registers += self.take_if("ZD_IN_REGISTER")
         return parameters, registers == len(parameters)
 
@@ -235,13 +235,13 @@ class Parser(ExpressionParser):
         if not self.take_if("{"):
             return self.expression()
         if (numbers := self._plain_numbers()) is not None:
-            return CNumbers(start, numbers)
+            return PNumbers(start, numbers)
         items: list[Initialiser] = []
         while not items or not self.take_if("}"):
             if items:
                 self.take(",")
             items.append(self._initialiser())
-        return CList(start, tuple(items))
+        return PList(start, tuple(items))
 
     def _plain_numbers(self) -> list[int] | None:
         """Read a list of decimal numbers and its brace at once; stay where it is none."""
@@ -263,11 +263,11 @@ class Parser(ExpressionParser):
 
     # --- statements
 
-    def block(self) -> CBlock:
+    def block(self) -> PBlock:
         """Read statements in braces, with names of their own."""
         start = self.at
         with self._scope():
-            return CBlock(start, tuple(self._read_braces()))
+            return PBlock(start, tuple(self._read_braces()))
 
     def _read_braces(self) -> list[Statement]:
         self.take("{")
@@ -292,18 +292,18 @@ class Parser(ExpressionParser):
         if self.take_if("return"):
             value = None if self.look() == ";" else self.expression()
             self.take(";")
-            return CReturn(start, value)
+            return PReturn(start, value)
         if self.begins_type():
             kind, name = self.read_type(), self._name_new()
             sizes = self._read_sizes()
             first = self._initialiser() if self.take_if("=") else None
             self.take(";")
-            return CDeclare(start, Variable(kind, name, sizes, start, first))
+            return PDeclare(start, PVariable(kind, name, sizes, start, first))
         if word == "(" and self.look(1) == "void":
             self.take_all("(", "void", ")")
             unused = self.expression()
             self.take(";")
-            return CAlone(start, unused)
+            return PAlone(start, unused)
         found = self._step()
         self.take(";")
         return found
@@ -311,11 +311,11 @@ class Parser(ExpressionParser):
     def _of_runtime(self) -> Statement:
         start = self.at
         if self.take_if(";"):
-            return CBlock(start, ())
+            return PBlock(start, ())
         self.take_all("while", "(")
         condition = self.expression()
         self.take(")")
-        return CWhile(start, condition, self.block())
+        return PWhile(start, condition, self.block())
 
     def _observe(self) -> Statement:
         """What is nothing but in the test harness."""
@@ -326,18 +326,18 @@ class Parser(ExpressionParser):
         if self.take_if(","):
             self.expression()
         self.take_all(")", ";")
-        return CBlock(start, ())
+        return PBlock(start, ())
 
-    def _branch(self) -> CIf:
+    def _branch(self) -> PIf:
         start = self.at
         self.take_all("if", "(")
         condition = self.expression()
         self.take(")")
         then = self.block()
-        other: CBlock | CIf | None = None
+        other: PBlock | PIf | None = None
         if self.take_if("else"):
             other = self._branch() if self.look() == "if" else self.block()
-        return CIf(start, condition, then, other)
+        return PIf(start, condition, then, other)
 
     def _loop(self) -> Statement:
         """for (TYPE i = a; i < b; i++) { ... } as the loop that C says it is."""
@@ -348,15 +348,15 @@ class Parser(ExpressionParser):
             if not (in_runtime and self.take_if(";")):
                 kind, name = self.read_type(), self._name_new()
                 self.take("=")
-                before.append(CDeclare(start, Variable(kind, name, (), start, self.expression())))
+                before.append(PDeclare(start, PVariable(kind, name, (), start, self.expression())))
                 self.take(";")
             condition = self.expression()
             self.take(";")
             step = self._step()
             self.take(")")
             body = self.block()
-        inner = CBlock(body.at, (body, step))
-        return CBlock(start, (*before, CWhile(start, condition, inner)))
+        inner = PBlock(body.at, (body, step))
+        return PBlock(start, (*before, PWhile(start, condition, inner)))
 
     def _step(self) -> Statement:
         """An assignment, ++ or a call."""
@@ -364,10 +364,10 @@ class Parser(ExpressionParser):
         target = self.unary()
         if self.look() in ASSIGNMENTS:
             operator = self.take()
-            return CAssign(start, operator, target, self.expression())
+            return PAssign(start, operator, target, self.expression())
         for word, operator in (("++", "+="), ("--", "-=")):
             if self.take_if(word):
-                return CAssign(start, operator, target, CInteger(start, "1", 1))
-        if not isinstance(target, CCall):
+                return PAssign(start, operator, target, PInteger(start, "1", 1))
+        if not isinstance(target, PCall):
             raise self.error("a statement without effect")
-        return CAlone(start, target)
+        return PAlone(start, target)

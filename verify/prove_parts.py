@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from zerodrift.verify.prove_syntax import CNode, Variable
+from zerodrift.verify.prove_syntax import PNode, PVariable
 from zerodrift.verify.prove_terms import UndecidedError
 from zerodrift.verify.prove_tokens import RefusedError
 
@@ -29,22 +29,22 @@ def tell(error: Exception) -> str:
     return str(error) if str(error) else type(error).__name__
 
 
-def shape_variable(variable: Variable) -> tuple[object, ...]:
+def shape_variable(variable: PVariable) -> tuple[object, ...]:
     """Return a declaration without its place."""
     first = None if variable.first is None else shape(variable.first)
     return variable.type, variable.name, tuple(shape(s) for s in variable.sizes), first
 
 
-def shape(node: CNode) -> tuple[object, ...]:
+def shape(node: PNode) -> tuple[object, ...]:
     """Return a node without the places of its tokens."""
     parts: list[object] = [type(node).__name__]
     for name, value in vars(node).items():
         if name == "at":
             continue
         for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, CNode):
+            if isinstance(one, PNode):
                 parts.append(shape(one))
-            elif isinstance(one, Variable):
+            elif isinstance(one, PVariable):
                 parts.append(shape_variable(one))
             else:
                 parts.append(tuple(one) if isinstance(one, list) else one)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from zerodrift.verify.prove_directives import OwnFile, refuse
-from zerodrift.verify.prove_syntax import Tokens
+from zerodrift.verify.prove_syntax import PTokens
 from zerodrift.verify.prove_tokens import NAME, NUMBER, SIGN, TEXT, Line, RefusedError, Token, split
 
 PRECEDENCE = {"||": 1, "&&": 2, "==": 3, "!=": 3, "<": 4, ">": 4, "<=": 4, ">=": 4}
@@ -21,6 +21,8 @@ KEPT = frozenset({"ZD_CLAIM", "ZD_OBSERVE", "ZD_QUIET"})
 SYSTEM = ("stdint.h", "stddef.h")
 """Headers of C whose types and limits are known here."""
 RUNTIME_ID = "ZD_RUNTIME_ID"
+FIRST = "zd_runtime.h"
+"""The file of the runtime in which its choices stand."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Preprocessor:
     macros: dict[str, Macro]
     with_runtime: bool
     """Whether the runtime's files are read where they are included."""
-    found: Tokens = field(default_factory=Tokens)
+    found: PTokens = field(default_factory=PTokens)
     _inside: list[str] = field(default_factory=list)
 
     def read(self, name: str) -> None:
@@ -91,7 +93,7 @@ class Preprocessor:
             if len(line) != 3 or line[2].kind != NAME:
                 raise refuse(line, f"#{word}")
             return (line[2].text in self.macros) == (word == "ifdef")
-        return bool(Condition(self.macros, [token.text for token in line[2:]], line).read())
+        return bool(PCondition(self.macros, [token.text for token in line[2:]], line).read())
 
     def _direct(self, word: str, line: Line) -> None:
         if word == "include":
@@ -194,7 +196,7 @@ def _split_arguments(
 
 
 @dataclass
-class Condition:
+class PCondition:
     """What stands behind #if."""
 
     macros: Mapping[str, Macro]
@@ -294,7 +296,7 @@ def read_integer(word: str) -> int:
 
 def preprocess(
     texts: Mapping[str, str], prefix: str, defined: Mapping[str, str], with_runtime: bool = True
-) -> Tokens:
+) -> PTokens:
     """Return the tokens of a model's source and all that it includes.
 
     Args:
@@ -358,12 +360,12 @@ def read_numbers(texts: Mapping[str, str], names: Iterable[str]) -> dict[str, st
         RefusedError: one that it does not define so.
     """
     found: dict[str, list[str]] = {name: [] for name in names}
-    for line in split(texts["zd_runtime.h"], "zd_runtime.h", True):
+    for line in split(texts[FIRST], FIRST, True):
         if _is_definition(line) and line[2].text in found:
             found[line[2].text] += [token.text for token in line[3:]]
     for name, words in found.items():
         if len(words) != 1:
-            raise RefusedError(f"zd_runtime.h: {name} is not one number")
+            raise RefusedError(f"{FIRST}: {name} is not one number")
     return {name: words[0] for name, words in found.items()}
 
 

@@ -1,6 +1,6 @@
 """What the proof's parser makes of C: expressions, statements and declarations.
 
-`CNode.at` counts tokens, so that whatever is found can be told with its place.
+`PNode.at` counts tokens, so that whatever is found can be told with its place.
 """
 
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 
 @dataclass
-class Tokens:
+class PTokens:
     """The words of a file and all that it includes, macros replaced."""
 
     words: list[str] = field(default_factory=list)
@@ -20,7 +20,7 @@ class Tokens:
 
 
 @dataclass(frozen=True)
-class CNode:
+class PNode:
     """An expression, an initialiser or a statement."""
 
     at: int
@@ -28,7 +28,7 @@ class CNode:
 
 
 @dataclass(frozen=True)
-class TypeName:
+class PTypeName:
     """A type as it is written before a name."""
 
     name: str
@@ -38,10 +38,10 @@ class TypeName:
 
 
 @dataclass(frozen=True)
-class Variable:
+class PVariable:
     """A declared variable, parameter or field; sizes and initialiser as expressions."""
 
-    type: TypeName
+    type: PTypeName
     name: str
     sizes: "tuple[Expression, ...]"
     at: int
@@ -49,7 +49,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class CInteger(CNode):
+class PInteger(PNode):
     """A literal, as it is written and its number."""
 
     token: str
@@ -58,7 +58,7 @@ class CInteger(CNode):
 
 
 @dataclass(frozen=True)
-class CTyped(CNode):
+class PTyped(PNode):
     """A literal with its type, as INT64_C(-3) and UINT32_C(3) are."""
 
     number: int
@@ -66,14 +66,14 @@ class CTyped(CNode):
 
 
 @dataclass(frozen=True)
-class CName(CNode):
+class PName(PNode):
     """A variable, a constant or a limit of stdint.h."""
 
     name: str
 
 
 @dataclass(frozen=True)
-class CField(CNode):
+class PField(PNode):
     """of->name or of.name."""
 
     of: "Expression"
@@ -82,7 +82,7 @@ class CField(CNode):
 
 
 @dataclass(frozen=True)
-class CIndex(CNode):
+class PIndex(PNode):
     """of[index]."""
 
     of: "Expression"
@@ -90,7 +90,7 @@ class CIndex(CNode):
 
 
 @dataclass(frozen=True)
-class CCall(CNode):
+class PCall(PNode):
     """name(arguments)."""
 
     name: str
@@ -98,7 +98,7 @@ class CCall(CNode):
 
 
 @dataclass(frozen=True)
-class CUnary(CNode):
+class PUnary(PNode):
     """One of - + ~ ! & * before an expression."""
 
     operator: str
@@ -106,22 +106,22 @@ class CUnary(CNode):
 
 
 @dataclass(frozen=True)
-class CSizeof(CNode):
+class PSizeof(PNode):
     """sizeof(of), a type's name or an expression."""
 
     of: "str | Expression"
 
 
 @dataclass(frozen=True)
-class CCast(CNode):
+class PCast(PNode):
     """(type)of."""
 
-    type: TypeName
+    type: PTypeName
     of: "Expression"
 
 
 @dataclass(frozen=True)
-class CBinary(CNode):
+class PBinary(PNode):
     """left operator right."""
 
     operator: str
@@ -130,7 +130,7 @@ class CBinary(CNode):
 
 
 @dataclass(frozen=True)
-class CChoose(CNode):
+class PChoose(PNode):
     """condition ? first : second."""
 
     condition: "Expression"
@@ -139,59 +139,59 @@ class CChoose(CNode):
 
 
 @dataclass(frozen=True)
-class CNumbers(CNode):
+class PNumbers(PNode):
     """An initialiser that is nothing but decimal numbers."""
 
     numbers: list[int]
 
 
 @dataclass(frozen=True)
-class CList(CNode):
+class PList(PNode):
     """An initialiser of other things."""
 
     items: "tuple[Initialiser, ...]"
 
 
 @dataclass(frozen=True)
-class CBlock(CNode):
+class PBlock(PNode):
     """Statements in braces."""
 
     statements: "tuple[Statement, ...]"
 
 
 @dataclass(frozen=True)
-class CReturn(CNode):
+class PReturn(PNode):
     """Return, of a value or of nothing."""
 
     value: "Expression | None"
 
 
 @dataclass(frozen=True)
-class CIf(CNode):
+class PIf(PNode):
     """A branch; `other` is what follows else."""
 
     condition: "Expression"
-    then: CBlock
-    other: "CBlock | CIf | None"
+    then: PBlock
+    other: "PBlock | PIf | None"
 
 
 @dataclass(frozen=True)
-class CWhile(CNode):
+class PWhile(PNode):
     """while (condition) body; a for is made of it."""
 
     condition: "Expression"
-    body: CBlock
+    body: PBlock
 
 
 @dataclass(frozen=True)
-class CDeclare(CNode):
+class PDeclare(PNode):
     """A variable of a function."""
 
-    variable: Variable
+    variable: PVariable
 
 
 @dataclass(frozen=True)
-class CAssign(CNode):
+class PAssign(PNode):
     """target operator source, such as += ."""
 
     operator: str
@@ -200,70 +200,70 @@ class CAssign(CNode):
 
 
 @dataclass(frozen=True)
-class CAlone(CNode):
+class PAlone(PNode):
     """A call whose result nobody takes, or (void)of."""
 
     of: "Expression"
 
 
 Expression: TypeAlias = (
-    CInteger
-    | CTyped
-    | CName
-    | CField
-    | CIndex
-    | CCall
-    | CUnary
-    | CSizeof
-    | CCast
-    | CBinary
-    | CChoose
+    PInteger
+    | PTyped
+    | PName
+    | PField
+    | PIndex
+    | PCall
+    | PUnary
+    | PSizeof
+    | PCast
+    | PBinary
+    | PChoose
 )
-Initialiser: TypeAlias = Expression | CNumbers | CList
-Statement: TypeAlias = CBlock | CReturn | CIf | CWhile | CDeclare | CAssign | CAlone
+Initialiser: TypeAlias = Expression | PNumbers | PList
+Statement: TypeAlias = PBlock | PReturn | PIf | PWhile | PDeclare | PAssign | PAlone
 
 
-def walk(node: CNode) -> Iterator[CNode]:
+def walk(node: PNode) -> Iterator[PNode]:
     """Yield a node and all that is inside it, the initialisers of variables too."""
     yield node
     for part in _list_parts(node):
         yield from walk(part)
 
 
-def _list_parts(node: CNode | Variable) -> Iterator[CNode]:
+def _list_parts(node: PNode | PVariable) -> Iterator[PNode]:
     for part in vars(node).values():
         for one in part if isinstance(part, tuple) else (part,):
-            if isinstance(one, CNode):
+            if isinstance(one, PNode):
                 yield one
-            elif isinstance(one, Variable):
+            elif isinstance(one, PVariable):
                 yield from _list_parts(one)
 
 
 @dataclass(frozen=True)
-class Function:
+class PFunction:
     """A function with a body."""
 
     name: str
     result: str
-    parameters: tuple[Variable, ...]
-    body: CBlock
+    parameters: tuple[PVariable, ...]
+    body: PBlock
 
 
 @dataclass
-class Program:
+class PProgram:
     """What header, source and runtime declare, in their order."""
 
-    tokens: Tokens
-    structs: dict[str, tuple[Variable, ...]] = field(default_factory=dict)
-    constants: list[Variable] = field(default_factory=list)
-    functions: dict[str, Function] = field(default_factory=dict)
+    tokens: PTokens
+    structs: dict[str, tuple[PVariable, ...]] = field(default_factory=dict)
+    constants: list[PVariable] = field(default_factory=list)
+    functions: dict[str, PFunction] = field(default_factory=dict)
     declared: dict[str, str] = field(default_factory=dict)
-    """Function -> its result and parameters, word by word."""
+    """PFunction -> its result and parameters, word by word."""
     public: set[str] = field(default_factory=set)
     """Functions that the model's header declares."""
     claims: list[Expression] = field(default_factory=list)
     assembly: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """Function -> its lines of assembly."""
+    """PFunction -> its lines of assembly."""
 
     def place(self, at: int) -> str:
         """Return file:line:column of a token."""

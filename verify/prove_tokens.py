@@ -44,8 +44,9 @@ SCANNER = re.compile(
     rf"|(?P<{SIGN}>{_any_of(SIGNS)})",
     re.S,
 )
+QUOTE = "'"
 STRANGE = {
-    "'": "a character constant",
+    QUOTE: "a character constant",
     '"': "a text that does not end on its line, or with an escape other than \\n",
     "\\": "a backslash",
     "\t": "a tab",
@@ -144,7 +145,7 @@ class Scanner:
         if self._known:
             return
         if kind == CHARACTER:
-            raise self._error(at, STRANGE["'"])
+            raise self._error(at, STRANGE[QUOTE])
         if kind == NUMBER and not INTEGER.fullmatch(word):
             raise self._error(at, f"'{word}' is no whole number as the generator writes it")
 

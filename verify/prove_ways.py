@@ -31,7 +31,7 @@ from zerodrift.verify.prove_parts import (
 from zerodrift.verify.prove_reader import choose_lines, list_asked, preprocess, read_numbers
 from zerodrift.verify.prove_rules import Used, make_assembly, make_rules
 from zerodrift.verify.prove_specification import Specification
-from zerodrift.verify.prove_syntax import Function, Program
+from zerodrift.verify.prove_syntax import PFunction, PProgram
 
 INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t", "zd_lstm_rows_t")
 """Constants of kernels that have intrinsics, where they are not in assembly."""
@@ -50,7 +50,7 @@ FIXED = ("ZD_RUNTIME_FORMAT", "ZD_RUNTIME_ID", *(f"ZD_KERNEL_{name}" for name in
 
 
 @dataclass(frozen=True)
-class Way:
+class PWay:
     """One way through the conditions of a model's files."""
 
     defined: Mapping[str, int]
@@ -81,7 +81,7 @@ class Way:
         return {name: str(value) for name, value in given.items()}
 
 
-def list_ways(texts: Mapping[str, str], prefix: str) -> Iterator[tuple[Way, Program]]:
+def list_ways(texts: Mapping[str, str], prefix: str) -> Iterator[tuple[PWay, PProgram]]:
     """Yield every different text that the choices of a build make of a model's files.
 
     Raises:
@@ -95,7 +95,7 @@ def list_ways(texts: Mapping[str, str], prefix: str) -> Iterator[tuple[Way, Prog
     seen = set()
     for values in itertools.product(*(CHOICES[name] for name in free)):
         given = {n: v for n, v in zip(free, values, strict=True) if v is not None}
-        way = Way(given)
+        way = PWay(given)
         lines = choose_lines(texts, prefix, {**fixed, **way.macros})
         if lines not in seen:
             seen.add(lines)
@@ -134,14 +134,14 @@ def show_kernels(
         yield ShownPart("kernels of recurrent layers", way.name, OPEN if why else verdict, why)
 
 
-def _is_covered(way: Way, program: Program, proven: ProvenKernels) -> bool:
+def _is_covered(way: PWay, program: PProgram, proven: ProvenKernels) -> bool:
     """Return whether every kernel of a way is plain C, or assembly that is proven."""
     ends = {name.removesuffix("_assembly") for name in program.assembly}
     intrinsics = {v.name for v in program.constants if v.type.name in INTRINSICS} - ends
     return bool(ends) and not intrinsics and proven.hold(way.defined, ends)
 
 
-def _hold_way(model: IntegerModel, program: Program, plain: Program, prefix: str) -> str:
+def _hold_way(model: IntegerModel, program: PProgram, plain: PProgram, prefix: str) -> str:
     used = Used()
     holder: list[Specification] = []
     rules: dict[str, Rule] = make_rules(prefix, lambda: holder[0].layers, used)
@@ -200,7 +200,7 @@ def _hold_step(machine: TermMachine, layers: Layers, layer: Numbered, relaxing: 
     return ""
 
 
-def _find_difference(program: Program, plain: Program, apart: set[str], tables: set[str]) -> str:
+def _find_difference(program: PProgram, plain: PProgram, apart: set[str], tables: set[str]) -> str:
     """Return what differs from the plain C beside the layers' functions and tables."""
     for one, other in ((program, plain), (plain, program)):
         for name, function in one.functions.items():
@@ -224,6 +224,6 @@ def _find_difference(program: Program, plain: Program, apart: set[str], tables: 
     return ""
 
 
-def _shape_function(function: Function) -> tuple[object, ...]:
+def _shape_function(function: PFunction) -> tuple[object, ...]:
     parameters = tuple(shape_variable(v) for v in function.parameters)
     return function.result, parameters, shape(function.body)

@@ -152,13 +152,16 @@ def _prove(config: "Config", as_json: bool, elf: Path | None) -> None:
     from zerodrift.report.results import ProofResult, ProvenPart
     from zerodrift.verify.prove import is_proven, list_shown
     from zerodrift.verify.prove_parts import OPEN, TESTED
+    from zerodrift.verify.prove_reader import SYSTEM
     from zerodrift.verify.replay import read_code
 
     model = load_model(config.build_directory / "model.json")
     code = read_code(model, config.firmware_out)
     texts = {code.header_name: code.header, code.source_name: code.source, **(code.runtime or {})}
+    # a compiler that searches the folder first would take these for C's own
+    hiding = {name: "" for name in SYSTEM if (config.firmware_out / name).exists()}
     with show_progress("proving") as say:
-        shown = tuple(list_shown(model, texts, say, objects=True, program=elf))
+        shown = tuple(list_shown(model, texts | hiding, say, objects=True, program=elf))
     proven = is_proven(shown)
     if as_json:
         parts = tuple(ProvenPart(one.what, one.build, one.verdict, one.why) for one in shown)
