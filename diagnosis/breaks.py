@@ -43,7 +43,7 @@ hundred columns, chance reaches 6."""
 
 
 @dataclass(frozen=True)
-class Break:
+class ColumnBreak:
     """A row from which on a column is somewhere else."""
 
     row: int
@@ -89,7 +89,7 @@ def _find_largest(x: Array) -> float:
     return float(steps[-2]) if steps.size > 1 else 0.0
 
 
-def find_break(x: Array, elsewhere: float = 0.0) -> Break | None:
+def find_break(x: Array, elsewhere: float = 0.0) -> ColumnBreak | None:
     """Return the one row from which on a column [n] is somewhere else; None without.
 
     Args:
@@ -111,7 +111,7 @@ def find_break(x: Array, elsewhere: float = 0.0) -> Break | None:
     gap = abs(after - before)
     if gap < BREAK * usual or step < ONCE * gap:
         return None
-    return Break(row, before, after)
+    return ColumnBreak(row, before, after)
 
 
 def _measure_stand(x: Array, row: int) -> int:
@@ -125,7 +125,7 @@ def _reach(x: Array, at: int) -> float:
     return float(np.polyval(np.polyfit(np.arange(x.size), x, 1), at))
 
 
-def _tell_break(run: Run, found: Break) -> DataNote:
+def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
     size = found.after - found.before
     rows = (found.row, len(run) - 1)
     stand = _measure_stand(run.temperature_degC, found.row)

@@ -8,7 +8,7 @@ from zerodrift.base.config import Config
 
 
 @dataclass(frozen=True)
-class Kind:
+class WrongKind:
     """One kind of wrong data, as the documentation tells it."""
 
     looks: str
@@ -19,48 +19,54 @@ class Kind:
     The others say what test logs cannot show."""
 
 
-KINDS: Mapping[str, Kind] = {
-    "sign": Kind("a run's output has the opposite sign", "reverse it in the log"),
-    "gain": Kind(
+KINDS: Mapping[str, WrongKind] = {
+    "sign": WrongKind("a run's output has the opposite sign", "reverse it in the log"),
+    "gain": WrongKind(
         "an output or a reference is a multiple of what the other runs have",
         "state the unit, or convert it in the log",
     ),
-    "fahrenheit": Kind("a run's temperature is in degF", "state the column's unit"),
-    "kelvin": Kind("a run's temperature is in kelvin", "state the column's unit"),
-    "unit_change": Kind(
+    "fahrenheit": WrongKind("a run's temperature is in degF", "state the column's unit"),
+    "kelvin": WrongKind("a run's temperature is in kelvin", "state the column's unit"),
+    "unit_change": WrongKind(
         "a column changes its unit within a run", "convert one part, or cut the run there"
     ),
-    "swapped": Kind("two columns of a run are exchanged", "exchange them in the log"),
-    "foreign_column": Kind("an output reads what another one reads", "name the right column"),
-    "another_sensor": Kind(
+    "swapped": WrongKind("two columns of a run are exchanged", "exchange them in the log"),
+    "foreign_column": WrongKind("an output reads what another one reads", "name the right column"),
+    "another_sensor": WrongKind(
         "a run follows another law than the others", "find out where it comes from; leave it out"
     ),
-    "time_unit": Kind("a run's time is in another unit", "state the unit of the time column"),
-    "stitched": Kind("rows are missing within a run whose time goes on", "cut the run there"),
-    "offset_jump": Kind("an output's zero jumps within a run", "cut the run there"),
-    "constant": Kind(
+    "time_unit": WrongKind("a run's time is in another unit", "state the unit of the time column"),
+    "stitched": WrongKind("rows are missing within a run whose time goes on", "cut the run there"),
+    "offset_jump": WrongKind("an output's zero jumps within a run", "cut the run there"),
+    "constant": WrongKind(
         "the thermometer reads one value for a whole run in which the output drifts",
         "record the run again",
     ),
-    "frozen": Kind("the thermometer repeats one value for a stretch", "leave the rows out"),
-    "stuck": Kind("an output repeats one value for a stretch", "leave the rows out"),
-    "saturated": Kind(
+    "frozen": WrongKind("the thermometer repeats one value for a stretch", "leave the rows out"),
+    "stuck": WrongKind("an output repeats one value for a stretch", "leave the rows out"),
+    "saturated": WrongKind(
         "an output or the thermometer stands at a limit of its range, in one run or in all",
         "look at the amplifier's range; record the run again",
     ),
-    "wrapped": Kind("an output jumps to and fro by one size: a counter", "unwrap it"),
-    "sentinel": Kind(
+    "wrapped": WrongKind("an output jumps to and fro by one size: a counter", "unwrap it"),
+    "sentinel": WrongKind(
         "one value far off recurs exactly: -127, -200, 85, 9999", "state it: [logs] missing"
     ),
-    "spikes": Kind("many single rows far off from their neighbours", "leave the rows out"),
-    "late_reference": Kind("the reference follows the output late, or before it", "shift it"),
-    "missing_reference": Kind("the output moves with a load that the reference lacks", "log it"),
-    "reversed_reference": Kind("a run's reference has the opposite sign", "reverse it in the log"),
-    "leak": Kind(
+    "spikes": WrongKind("many single rows far off from their neighbours", "leave the rows out"),
+    "late_reference": WrongKind("the reference follows the output late, or before it", "shift it"),
+    "missing_reference": WrongKind(
+        "the output moves with a load that the reference lacks", "log it"
+    ),
+    "reversed_reference": WrongKind(
+        "a run's reference has the opposite sign", "reverse it in the log"
+    ),
+    "leak": WrongKind(
         "a test run is a training run, resampled or with noise on it", "test with another run"
     ),
-    "beyond_training": Kind("a test run reaches further than training", "train as far", False),
-    "too_short": Kind("a test run is too short to say anything", "test with a longer log", False),
+    "beyond_training": WrongKind("a test run reaches further than training", "train as far", False),
+    "too_short": WrongKind(
+        "a test run is too short to say anything", "test with a longer log", False
+    ),
 }
 """What a note's `kind` may be. The table of docs/reference/wrong-data.md is held against it."""
 INFORMS = tuple(kind for kind, told in KINDS.items() if not told.stops)

@@ -29,7 +29,8 @@ FOLLOWED = 0.9
 """Correlation from which the factor between output and load is taken."""
 CHANCE = 1e-4
 """Probability that any factor of a set of right logs is told as wrong."""
-FEWEST_OTHERS = 2
+FEWEST_OTHERS = 3
+"""Of two factors no scatter is known."""
 LEAST_GAIN = 0.02
 """A smaller error of gain is that of a sensor's calibration."""
 LOADED = 0.5

@@ -21,8 +21,24 @@ def spoil(log: Path) -> None:
     log.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n")
 
 
+def take_on(fleet: Path, entry: str) -> None:
+    """Accept a note on wrong data."""
+    toml = fleet / "zerodrift.toml"
+    toml.write_text(toml.read_text().replace("[logs]\n", f'[logs]\naccept = ["{entry}"]\n'))
+
+
+def test_unit_with_wrong_data_fails_before_it_is_fitted(fleet: Path) -> None:
+    spoil(fleet / "fleet" / SENSORS[1] / "chamber_1.csv")
+    result = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1", "--json"])
+    assert result.exit_code == 1
+    told = {r["sensor"]: r for r in json.loads(result.stdout)["results"]}
+    assert [told[sensor]["status"] for sensor in SENSORS] == ["pass", "error", "pass"]
+    assert 'accept = ["chamber_1: gain"]' in told[SENSORS[1]]["reasons"][0]
+
+
 def test_refused_unit_fails_with_its_reason_and_the_others_pass(fleet: Path) -> None:
     spoil(fleet / "fleet" / SENSORS[1] / "chamber_1.csv")
+    take_on(fleet, "chamber_1: gain")  # what the gate says is looked at, not the referee
     result = CliRunner().invoke(cli, ["fleet", "-C", str(fleet), "--jobs", "1", "--json"])
     assert result.exit_code == 1
     report = json.loads(result.stdout)
