@@ -5,7 +5,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
@@ -62,8 +61,9 @@ def _work(
         yield from map(examine, cases)
         return
     spawn = get_context("spawn")
-    with ProcessPoolExecutor(jobs, spawn, max_tasks_per_child=RENEWED) as pool:
-        yield from pool.map(examine, cases)
+    # not concurrent.futures: Python 3.11 waits for ever where it renews its only process
+    with spawn.Pool(jobs, maxtasksperchild=RENEWED) as pool:
+        yield from pool.imap(examine, cases)
 
 
 def _time(examine: Examine, case: tuple[str, int]) -> Row:
