@@ -8,7 +8,6 @@ from pathlib import Path
 from zerodrift.base.config import TRAIN, USES, Config, load_config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import PLACEHOLDER, URL
-from zerodrift.dataset.selectors import list_files
 from zerodrift.fleet.stores import list_names
 
 SELECTOR_SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
@@ -193,6 +192,8 @@ def explain_no_placeholder(config: Config, where: str) -> str:
 
 def guess_folder(directory: Path) -> tuple[str, tuple[str, ...]] | None:
     """Return the folder with the most subfolders that hold logs, and these; None without any."""
+    from zerodrift.dataset.selectors import list_files  # the page's first sight waits for no NumPy
+
     best: tuple[str, tuple[str, ...]] | None = None
     for parent in sorted(path for path in directory.iterdir() if path.is_dir()):
         if parent.name.startswith(".") or parent.name in ("build", "firmware"):

@@ -124,3 +124,9 @@ def test_annotations_mean_the_same_in_every_spelling() -> None:
     for optional in (int | None, Optional[int], Union[int, None]):  # noqa: UP007, UP045
         assert take_apart(optional) == (Union, (int, type(None)))
     assert take_apart(dict[str, int]) == take_apart(Mapping[str, int]) == (Mapping, (str, int))
+
+
+def test_an_annotation_keeps_its_own_order() -> None:
+    """`X | None` equals `None | X`: whoever asks first must not decide for the other."""
+    assert take_apart(int | None)[1] == (int, type(None))
+    assert take_apart(None | int)[1] == (type(None), int)

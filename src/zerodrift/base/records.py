@@ -81,9 +81,12 @@ def is_array(kind: object) -> bool:
     return getattr(kind, "__module__", "") == "numpy" and getattr(kind, "__name__", "") == "ndarray"
 
 
-@cache
+_apart: dict[int, tuple[object, tuple[object, tuple[object, ...]]]] = {}
+"""Identity of an annotation -> the annotation, which so stays alive, and what it is made of."""
+
+
 def take_apart(kind: object) -> tuple[object, tuple[object, ...]]:
-    """Return what an annotation is made of, in whichever way it is spelt.
+    """Return what an annotation is made of, in whichever way it is spelt and in its own order.
 
     All that read annotations of fields ask here.
 
@@ -91,6 +94,14 @@ def take_apart(kind: object) -> tuple[object, tuple[object, ...]]:
         (origin, arguments): (Union, choices), (Literal, values), (tuple, types), (Mapping, (key,
         value)), (frozenset, (type,)) or (ndarray, (scalar type,)); of a class (class, ()).
     """
+    # by identity: `X | None` equals `None | X`, and a cache would answer with the first one's order
+    known = _apart.get(id(kind))
+    if known is None:
+        known = _apart[id(kind)] = (kind, _take_apart(kind))
+    return known[1]
+
+
+def _take_apart(kind: object) -> tuple[object, tuple[object, ...]]:
     origin, arguments = get_origin(kind), get_args(kind)
     meant = getattr(origin or kind, "__value__", None)
     if meant is not None:  # `type NDArray[T] = ...`, as NumPy writes it since 2.5
