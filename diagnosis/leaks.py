@@ -1,8 +1,8 @@
 """Test runs that are training runs again: shifted by part of a row, or with noise on top.
 
 Two recordings have no noise in common. What fast noise a test run shares with a training run is
-found at any shift by the correlation of what their columns hold beyond their own signals, and held
-against the largest that chance gives over all shifts, columns and pairs.
+found at any shift by the correlation of what their outputs hold beyond their own signals, of all
+outputs together, and held against the largest that chance gives over all shifts and pairs.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,8 @@ of the squares of their autocorrelation, 1, -2/3, 1/6)."""
 CLIPPED = 3.0
 """Spreads at which a value is cut: what steps of one programme have in common counts little."""
 FEWEST_ROWS = 200
+BESIDE = 5
+"""Shifts on each side of the best one that belong to it: a copy resampled has a wide peak."""
 OVERLAP = 0.5
 """Share of the shorter run's rows in which the two must overlap."""
 
@@ -32,31 +34,30 @@ def find_leaks(train: Sequence[Run], test: Sequence[Run], outputs: Sequence[str]
     """Return notes on test runs whose noise is that of a training run."""
     known = [(run, _list_noise(run)) for run in train if len(run) >= FEWEST_ROWS]
     asked = [(run, _list_noise(run)) for run in test if len(run) >= FEWEST_ROWS]
-    names = tuple(outputs)
-    tests = max(1, len(known) * len(asked) * len(names))
+    tests = max(1, len(known) * len(asked))
     notes = []
     for run, ours in asked:
         for other, theirs in known:
-            for name, one, two in zip(names, ours, theirs, strict=True):
-                if one is None or two is None:
-                    continue
-                shared, shift = _correlate(one, two, tests)
-                if not shared:
-                    continue
-                notes.append(
-                    DataNote(
-                        run.group,
-                        name,
-                        (0, len(run) - 1),
-                        "leak",
-                        f"its noise is that of training run {other.group} ({100.0 * shared:.0f} % "
-                        f"correlated, {abs(shift)} rows {'later' if shift >= 0 else 'earlier'}): "
-                        "the same recording, resampled or with noise added. Test with another run",
-                    )
-                )
-                break
-            else:
+            pairs = {
+                name: (one, two)
+                for name, one, two in zip(outputs, ours, theirs, strict=True)
+                if one is not None and two is not None
+            }
+            found = _correlate(list(pairs.values()), tests) if pairs else None
+            if found is None:
                 continue
+            shared, shift = found
+            notes.append(
+                DataNote(
+                    run.group,
+                    next(iter(pairs)),
+                    (0, len(run) - 1),
+                    "leak",
+                    f"its noise is that of training run {other.group} ({100.0 * shared:.0f} % "
+                    f"correlated, {abs(shift)} rows {'later' if shift >= 0 else 'earlier'}): "
+                    "the same recording, resampled or with noise added. Test with another run",
+                )
+            )
             break
     return notes
 
@@ -87,24 +88,35 @@ def _take_off(x: Array, table: Array) -> Array:
     return np.asarray(x - table @ factors)
 
 
-def _correlate(one: Array, two: Array, tests: int) -> tuple[float, int]:
-    """Return the correlation at the best shift, and the shift; 0 where chance explains it."""
-    size = 1 << int(np.ceil(np.log2(one.size + two.size)))
+def _correlate(pairs: Sequence[tuple[Array, Array]], tests: int) -> tuple[float, int] | None:
+    """Return the mean correlation at the best shift, and the shift; None where chance explains it.
+
+    Args:
+        pairs: an output's noise in both runs, [n] and [m], of each output.
+        tests: how many pairs of runs are asked.
+    """
+    n, m = pairs[0][0].size, pairs[0][1].size
+    size = 1 << int(np.ceil(np.log2(n + m)))
 
     def total(x: Array, y: Array) -> Array:
         """Return the sums of the products over the overlap, at every shift."""
         return np.asarray(np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size))
 
-    least = OVERLAP * min(one.size, two.size)
-    ours, theirs = np.ones(one.size), np.ones(two.size)
-    product, counts = total(one, two), total(ours, theirs)
-    powers = total(one**2, theirs) * total(ours, two**2)
-    usable = counts > least
-    likeness = np.where(usable, product / np.sqrt(np.maximum(powers, 1e-300)), 0.0)
-    level = norm.isf(CHANCE / tests / max(int(usable.sum()), 1))
-    beyond = likeness - level * np.sqrt(INFLATION / np.maximum(counts, 1.0))
-    place = int(beyond.argmax())
-    if beyond[place] <= 0.0:
-        return 0.0, 0
-    shift = place if place < size // 2 else place - size
-    return float(likeness[place]), shift
+    ours, theirs = np.ones(n), np.ones(m)
+    counts = total(ours, theirs)
+    usable = counts > OVERLAP * min(n, m)
+    likeness = np.zeros(size)
+    for one, two in pairs:
+        powers = total(one**2, theirs) * total(ours, two**2)
+        likeness += np.where(usable, total(one, two) / np.sqrt(np.maximum(powers, 1e-300)), 0.0)
+    likeness /= len(pairs)
+    shifts = max(int(usable.sum()), 1)
+    heights = likeness * np.sqrt(len(pairs) * np.maximum(counts, 0.0) / INFLATION)
+    place = int(heights.argmax())
+    # What comes again at other shifts, days or a meter's cycle, is no copy: their highest shows
+    # how large chance is here, at least that of white noise.
+    elsewhere = np.roll(heights, -place)[BESIDE:-BESIDE]
+    chance = max(1.0, float(elsewhere.max(initial=0.0)) / float(norm.isf(1.0 / (shifts + 1))))
+    if heights[place] <= norm.isf(CHANCE / tests / shifts) * chance:
+        return None
+    return float(likeness[place]), place if place < size // 2 else place - size
