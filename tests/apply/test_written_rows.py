@@ -9,8 +9,33 @@ from polars.exceptions import ComputeError
 from zerodrift.app import applied_rows
 from zerodrift.app.commands.built import read_kept
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.text_format import TextFormat
 
-ROWS = SimpleNamespace(stream=lambda *, as_text: iter([pl.DataFrame({"a": [1.0]})]))
+
+def make_rows(text=None, **columns):
+    frame = pl.DataFrame(columns or {"a": [1.0]})
+    source = SimpleNamespace(text=text)
+    return SimpleNamespace(
+        stream=lambda *, as_text: iter([frame]), steps=SimpleNamespace(source=source)
+    )
+
+
+ROWS = make_rows()
+
+
+@pytest.mark.parametrize(
+    ("name", "comma", "written"),
+    [
+        ("out.csv", True, "Kraft;drift;flags\n-7,994;-8,5;0\n"),
+        ("out.tsv", True, "Kraft\tdrift\tflags\n-7,994\t-8,5\t0\n"),
+        ("out.csv", False, 'Kraft,drift,flags\n"-7,994",-8.5,0\n'),
+    ],
+)
+def test_answers_have_the_decimal_mark_of_the_log(tmp_path, name, comma, written):
+    text = TextFormat(names=("Kraft",), separator=";", decimal_comma=comma)
+    rows = make_rows(text, Kraft=["-7,994"], drift=[-8.5], flags=[0])
+    applied_rows.write_rows(rows, tmp_path / name)
+    assert (tmp_path / name).read_text("utf-8") == written
 
 
 def test_a_full_disk_under_parquet_is_one_message(tmp_path, monkeypatch):

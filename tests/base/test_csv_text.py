@@ -8,8 +8,27 @@ import pytest
 
 from zerodrift.base.csv_text import mark_frame, mark_text, render_rows
 
-EVIL = ["=HYPERLINK(1)", "+cmd|' /C calc'!A0", "-2+A1", "@SUM(A1)", "\t=1+A1", "\r=1+A1"]
-PLAIN = ["Fz_N", "-1.5", "+3", "-", "-3.1 .. 2e-5", "", "a=b", "20 %", "-0.5 ± 0.1"]
+EVIL = [
+    "=HYPERLINK(1)",
+    "+cmd|' /C calc'!A0",
+    "-2+A1",
+    "@SUM(A1)",
+    "\t=1+A1",
+    "\r=1+A1",
+    "-1 to A1",
+]
+PLAIN = [
+    "Fz_N",
+    "-1.5",
+    "+3",
+    "-",
+    "-3.1 .. 2e-5",
+    "",
+    "a=b",
+    "20 %",
+    "-0.5 ± 0.1",
+    "-10.5 to 90.5",
+]
 
 
 @pytest.mark.parametrize("cell", EVIL)

@@ -195,7 +195,7 @@ def write_rows(rows: AppliedRows, out: Path) -> None:
         if out.suffix.lower() in PARQUET_SUFFIXES:
             _write_parquet(rows, beside)
         else:
-            _write_csv(rows, beside, "\t" if out.suffix.lower() == ".tsv" else ",")
+            _write_csv(rows, beside, tabs=out.suffix.lower() == ".tsv")
         beside.replace(out)
     except OSError as error:
         raise InputError(explain_write(out, error)) from error
@@ -209,10 +209,16 @@ def write_rows(rows: AppliedRows, out: Path) -> None:
         beside.unlink(missing_ok=True)
 
 
-def _write_csv(rows: AppliedRows, path: Path, separator: str) -> None:
+def _write_csv(rows: AppliedRows, path: Path, *, tabs: bool) -> None:
+    """Write the rows as text; where the log has decimal commas, the answers have them too."""
+    text = rows.steps.source.text
+    comma = text is not None and text.decimal_comma
+    separator = "\t" if tabs else ";" if comma else ","
     with path.open("wb") as file:
         for number, batch in enumerate(rows.stream(as_text=True)):
-            mark_frame(batch).write_csv(file, include_header=number == 0, separator=separator)
+            mark_frame(batch).write_csv(
+                file, include_header=number == 0, separator=separator, decimal_comma=comma
+            )
 
 
 def _write_parquet(rows: AppliedRows, path: Path) -> None:

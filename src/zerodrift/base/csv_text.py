@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 RUN = ("=", "+", "-", "@", "\t", "\r")
 MARK = "'"
-_HARMLESS = re.compile(r"[-+][-+0-9.,:;eE%± ]*")
+_HARMLESS = re.compile(r"[-+](?:[-+0-9.,:;eE%± ]| to )*")
 """Signs and numbers, ranges of them too: there is nothing in it that could be called."""
 
 
