@@ -250,11 +250,12 @@ def _tell_offsets(case: Case, first: Examination) -> str:
             case.dataset.outputs, case.dataset.units, offsets, first.base_errors, strict=True
         )
     ]
-    why = "[logs] tared says so" if case.dataset.train[0].tared else "the runs differ that way"
-    return (
-        f"each run's own offset is taken off, as {why}; RMS over the runs: {', '.join(told)}. "
-        "Logs that are not zeroed one by one: set [logs] tared = false, and the offsets count"
-    )
+    stated = case.dataset.train[0].tared
+    why = "[logs] tared says so" if stated else "the runs differ that way"
+    note = f"each run's own offset is taken off, as {why}; RMS over the runs: {', '.join(told)}"
+    if stated:
+        return note
+    return f"{note}. Logs that are not zeroed one by one: set [logs] tared = false, and the offsets count"
 
 
 def _list_remarks(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:

@@ -41,9 +41,9 @@ def open_real(tmp_path):
     return lay_out
 
 
-def open_resistor(open_real, log, unit, train, test="", period=5):
+def open_resistor(open_real, log, unit, train, test="", period=5, more=""):
     names = ", ".join(f'"{log}#{run}"' for run in train)
-    more = f'where = {{ unit = "{unit}" }}\n'
+    more += f'where = {{ unit = "{unit}" }}\n'
     return open_real(
         log,
         name="resistor",
@@ -76,7 +76,9 @@ def test_genrad_diagnose_proposes_the_lag_and_add_reaches_the_mark(open_real, ze
 def test_vhd200_diagnose_finds_the_slow_memory(open_real, zerodrift):
     log = "resistor_vhd200_oven_ramps.csv"
     runs = ["run11", "run12", "run13"]
-    directory = open_resistor(open_real, log, "divider2_12.5k", runs, period=10)
+    # ppm of each run's own beginning; three runs are too few to show that they are tared
+    more = "tared = true\n"
+    directory = open_resistor(open_real, log, "divider2_12.5k", runs, period=10, more=more)
     told = json.loads(zerodrift("diagnose", "-C", directory, "--json").out)
     assert (told["verdict"], told["effect"]) == ("missing", "thermal_lag")
     assert told["parameters"]["time_constants"] == 2

@@ -117,6 +117,7 @@ def test_what_the_project_says_of_a_tare_holds(tempco, said):
     assert model.tared is said
     remarks = diagnose(tempco, told).remarks
     assert any("own offset is taken off, as [logs] tared says so" in r for r in remarks) is said
+    assert not any("set [logs] tared = false" in r for r in remarks), "what is stated is not asked"
 
 
 @pytest.mark.parametrize("runs", [3, 4, 5])
