@@ -367,15 +367,14 @@ def _judge_by_baselines(
 def _tell_unproven(trial: _BaselineTrial, chip: float, name: str, unit: str) -> Statement:
     """Return the warning that the chip is not shown to be better than a baseline."""
     found = trial.contrast
-    runs = "the one held-out run" if found.runs == 1 else f"{found.runs} held-out runs"
     text = (
         f"{name}: not shown to be better than {WORDS[trial.kind]}: the chip leaves {chip:.3g}"
-        f" {unit} RMS, {WORDS[trial.kind]} {trial.left:.3g} {unit}, less in {found.runs_worse} of"
-        f" {runs}."
+        f" {unit} RMS, {WORDS[trial.kind]} {trial.left:.3g} {unit}, and less than the chip in"
+        f" {found.runs_worse} of {found.runs} held-out run{'s' if found.runs > 1 else ''}."
     )
     if found.ratio < 1.0:
         chance = 100.0 * found.chance_of_better
-        text += f" That comes by chance with {chance:.2g} %: record more test runs."
+        text += f" Its lead comes by chance with {chance:.2g} %: record more runs."
     else:
         text += " Look at the logs (`zerodrift compare`)."
     return Statement(kind="not_shown_better", output=name, text=text)

@@ -20,6 +20,7 @@ from zerodrift.app.commands.console import (
     open_table,
     print_advice,
     print_chip_error,
+    print_statements,
     print_uncertainty,
     show_progress,
 )
@@ -109,6 +110,7 @@ def command(
         if compared.firmware_note:
             console.print(compared.firmware_note)
         print_chip_error(compared.firmware, console)
+        print_statements(compared.firmware, console)
     print_uncertainty(compared.stated, console)
     print_advice(compared.advice, console)
     if html is not None:

@@ -121,6 +121,11 @@ def print_uncertainty(stated: "Mapping[str, StatedUncertainty] | None", console:
     console.print(next(iter(stated.values())).explain())
 
 
+def has_other_causes(firmware: "FirmwareSummary") -> bool:
+    """Tell whether more than rounding separates a chip from its float model."""
+    return any(any(astuple(split)[1:]) for split in firmware.chip_error.values())
+
+
 def print_chip_error(firmware: "FirmwareSummary", console: "Console") -> None:
     """Print the error between a firmware and its float model, as `firmware` measured it."""
     table = open_table(
@@ -134,10 +139,17 @@ def print_chip_error(firmware: "FirmwareSummary", console: "Console") -> None:
     for name, split in firmware.chip_error.items():
         table.add_row(name, firmware.units[name], *(f"{x:.2g}" for x in astuple(split)))
     console.print(table)
+
+
+def print_statements(firmware: "FirmwareSummary", console: "Console") -> None:
+    """Print what the gate warns of, and what was written by force.
+
+    Why nothing was written is the command's error, which ends it.
+    """
     for statement in firmware.warnings:
         console.print(f"warning: {statement.text}")
-    for statement in firmware.refused:
-        console.print(f"{'FORCED' if firmware.forced else 'REFUSED'}: {statement.text}")
+    for statement in firmware.refused if firmware.forced else ():
+        console.print(f"FORCED: {statement.text}")
 
 
 def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:

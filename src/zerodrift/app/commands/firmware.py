@@ -18,7 +18,14 @@ from zerodrift.app.commands.common import (
     sensor_option,
     skip_invalid_option,
 )
-from zerodrift.app.commands.console import open_console, open_table, print_chip_error, show_progress
+from zerodrift.app.commands.console import (
+    has_other_causes,
+    open_console,
+    open_table,
+    print_chip_error,
+    print_statements,
+    show_progress,
+)
 from zerodrift.app.commands.onnx_option import OnnxRequest, onnx_options, open_import
 from zerodrift.app.runs_left_out import (
     NO_TRAINING,
@@ -361,8 +368,8 @@ def _print(
     if firmware.held_out and (worse := explain_worse_than_physics(firmware.errors)):
         console.print(worse)
     console.print(
-        "explained: of the squared error that the mean drift of the training runs leaves as a"
-        " constant, the share that the integer model takes away."
+        "explained: the share by which the integer model's squared error is below that of a"
+        " constant, the mean drift of the training runs."
     )
     if firmware.tared:
         console.print("The logs are tared: each run's own offset is taken off every error.")
@@ -376,7 +383,8 @@ def _print(
             f" measurements is up to {max(losses[1::2]):.2g} % larger than the float model's;"
             f" only rounded it would be {max(losses[::2]):.2g} %."
         )
-    print_chip_error(told, console)
+    if has_other_causes(told):
+        print_chip_error(told, console)
     _print_budget(firmware, console)
     size = firmware.footprint
     console.print(
@@ -401,6 +409,7 @@ def _print(
         " derived again from the C"
     )
     _print_bound(told, firmware, console)
+    print_statements(told, console)
     if firmware.files and firmware.code.design is not None:
         console.print(tell_edition(firmware.code.block, asked))
     for folder in sorted({path.parent for path in firmware.files}):
@@ -473,8 +482,8 @@ def _print_bounds(
         table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
     console.print(table)
     console.print(
-        "Both are given equal codes; in `int - float` above the float model has the inputs before"
-        " rounding."
+        "Both are given equal codes: it leaves out the rounding of inputs, which `int - float` above"
+        " includes."
     )
     console.print(f"It holds for: {firmware.bound.holds}.")
     if "range" in causes:
