@@ -255,7 +255,10 @@ def _tell_offsets(case: Case, first: Examination) -> str:
     note = f"each run's own offset is taken off, as {why}; RMS over the runs: {', '.join(told)}"
     if stated:
         return note
-    return f"{note}. Logs that are not zeroed one by one: set [logs] tared = false, and the offsets count"
+    return (
+        f"{note}. Logs that are not zeroed one by one: set [logs] tared = false, and the offsets"
+        " count"
+    )
 
 
 def _list_remarks(case: Case, verdict: str, first: Examination) -> tuple[str, ...]:

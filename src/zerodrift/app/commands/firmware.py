@@ -482,8 +482,8 @@ def _print_bounds(
         table.add_row(name, bound.unit, f"{bound.value:.3g}", f"{percent:.2g}", *shares)
     console.print(table)
     console.print(
-        "Both are given equal codes: it leaves out the rounding of inputs, which `int - float` above"
-        " includes."
+        "Both are given equal codes: it leaves out the rounding of inputs, which `int - float`"
+        " above includes."
     )
     console.print(f"It holds for: {firmware.bound.holds}.")
     if "range" in causes:
