@@ -331,7 +331,7 @@ def _check_tiles(
     least = min(told.explained for told in compared.outputs.values())
     wanted = {
         r"(\S+) %FS\s+largest RMSE": f"{worst:.2g}",
-        r"(\S+) %\s+of a constant's squared error": f"{100.0 * least:.1f}",
+        r"(\S+) %\s+explained in the worst output": f"{100.0 * least:.1f}",
         r"(\S+) ×\s+error of the effects on runs left out": f"{diagnosed.floor_ratio_before:.2f}",
         r"(\d+)\s+runs shown": str(len(findings.traces)),
     }

@@ -184,7 +184,7 @@ def list_tiles(findings: Findings) -> list[tuple[str, str]]:
         )
     ]
     least = min(output.explained for output in outputs.values())
-    tiles.append((f"{100.0 * least:.1f} %", "of a constant's squared error taken away, or more"))
+    tiles.append((f"{100.0 * least:.1f} %", "explained in the worst output, beyond a constant"))
     if explained is not None:
         diagnosis = explained.diagnosis
         source = "measured on a dwell" if diagnosis.noise_floor_source == "dwell" else "estimated"

@@ -14,7 +14,7 @@ from zerodrift.report.pictures_plan import draw_programme
 from zerodrift.report.proposal import draw_remainder
 from zerodrift.report.proposal_words import explain_black_boxes
 from zerodrift.report.results import ApplyResult, PlanResult, ProposeResult, TrainResult
-from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.verify.summary import FirmwareSummary, LogsRefused, VerifySummary
 from zerodrift.workbench.panels import show_picture, show_table
 from zerodrift.workbench.workplace import Outcome
 
@@ -25,6 +25,8 @@ def show_outcome(outcome: Outcome) -> list[Component]:
         return _show_verified(outcome)
     if isinstance(outcome, FirmwareSummary):
         return _show_built(outcome)
+    if isinstance(outcome, LogsRefused):
+        return _show_refused_logs(outcome)
     if isinstance(outcome, ProposeResult):
         return _show_proposed(outcome)
     if isinstance(outcome, PlanResult):
@@ -79,11 +81,31 @@ def _show_built(outcome: FirmwareSummary) -> list[Component]:
         lines = [f"Refused, nothing was written: {one.text}" for one in outcome.refused]
         return [html.P(line, className="standing") for line in lines]
     equal = "bit-exact" if outcome.bit_exact else "DIFFERENT"
+    said = [f"Built by force, though refused: {one.text}" for one in outcome.refused]
+    said += [f"Warning: {one.text}" for one in outcome.warnings]
     return [
         html.P(
             f"Built: flash {outcome.flash_bytes} B, RAM {outcome.ram_bytes} B, stack "
             f"{outcome.stack_bytes} B on {outcome.core}; {equal} over {outcome.vectors} steps."
-        )
+        ),
+        *(html.P(line, className="standing") for line in said),
+    ]
+
+
+def _show_refused_logs(outcome: LogsRefused) -> list[Component]:
+    entries = dict.fromkeys(f'"{one.run}: {one.kind}"' for one in outcome.refused)
+    return [
+        *(
+            html.P(f"Refused, nothing was written: {one.text}.", className="standing")
+            for one in outcome.refused
+        ),
+        html.P(
+            [
+                "Mend the logs, or leave the runs out. If they are right as they are, say so in"
+                " zerodrift.toml: ",
+                html.Code(f"[logs] accept = [{', '.join(entries)}]"),
+            ]
+        ),
     ]
 
 

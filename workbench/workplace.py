@@ -38,7 +38,7 @@ from zerodrift.report.results import (
     is_done,
     read_result,
 )
-from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.verify.summary import FirmwareSummary, LogsRefused, VerifySummary
 from zerodrift.workbench.chip import LiveAnswers, LiveChip, PageReplay, read_replay
 from zerodrift.workbench.events import (
     CHIP_READY,
@@ -68,6 +68,7 @@ CHANGES = ("add", "remove", "restore")
 Outcome = (
     TrainResult
     | FirmwareSummary
+    | LogsRefused
     | VerifySummary
     | ReportResult
     | ProposeResult
@@ -75,8 +76,8 @@ Outcome = (
     | ApplyResult
 )
 OUTCOMES = (
-    *(TrainResult, FirmwareSummary, VerifySummary, ReportResult, ProposeResult, PlanResult),
-    ApplyResult,
+    *(TrainResult, FirmwareSummary, LogsRefused, VerifySummary, ReportResult, ProposeResult),
+    *(PlanResult, ApplyResult),
 )
 MOST_READ = 12
 """Drivers of runs that are kept in memory."""
@@ -404,8 +405,9 @@ class Workplace:
             elif isinstance(told, InitResult):
                 self.message = Message(explain_guess(told), is_error=False)
             self._touch()
-            succeeded = not job.cancelled and not job.failures
-            if succeeded and job.name not in ("look", *LOOKS_AT):
+            # What refuses firmware keeps its reasons in build/, which the page shows, too.
+            ended = isinstance(told, OUTCOMES) or not job.failures
+            if ended and not job.cancelled and job.name not in ("look", *LOOKS_AT):
                 self.look()
 
     def _begin_anew(self) -> None:

@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
 from tests.plan.projects import write_blank
+from tests.verify.test_manifest import make_summary
 
 from zerodrift.diagnosis.formula.curve import FormulaCurve
 from zerodrift.report.results import (
@@ -70,3 +71,8 @@ def test_a_formula_is_drawn_against_what_is_left():
     none = {"found": False, "formula": None, "curves": {}, "black_boxes": ()}
     shown = write(show_outcome(ProposeResult(**{**FORMULA, **none})))
     assert "No formula was found: it helps." in shown and "<svg" not in shown
+
+
+def test_what_the_gate_says_stands_beside_the_firmware():
+    shown = write(show_outcome(make_summary("0")))
+    assert "Warning: a run." in shown and "Built by force, though refused: why." in shown

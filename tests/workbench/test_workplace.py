@@ -8,12 +8,15 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from zerodrift.app.trust import claim
 from zerodrift.base.records import from_json
 from zerodrift.diagnosis.timeline import find_timeline
 from zerodrift.report.results import AddResult
+from zerodrift.verify.summary import LogsRefused
+from zerodrift.workbench.outcomes import show_outcome
 from zerodrift.workbench.workplace import Workplace
 
 
@@ -111,6 +114,21 @@ def test_effect_that_does_not_help_is_told_and_not_kept(place, project):
     assert project.toml.read_bytes() == before
     assert "was not added" in place.message.text
     assert place.refused == {"ageing": place.revision.reason}
+
+
+def test_refused_logs_are_told_and_are_no_change_from_outside(place, project):
+    log = project.directory / "logs" / "run_2.csv"
+    columns = np.loadtxt(log, delimiter=",", skiprows=1)
+    columns[:, 1] = 1.8 * columns[:, 1] + 32.0
+    head = log.read_text("utf-8").partition("\n")[0]
+    np.savetxt(log, columns, fmt="%.5f", delimiter=",", header=head, comments="")
+    place.run("firmware", "Building firmware", ["firmware", "--json"])
+    settle(place)
+    assert isinstance(place.outcome, LogsRefused)
+    told = str(show_outcome(place.outcome))
+    assert "looks like degF, not degC" in told and '[logs] accept = ["run_2: fahrenheit"]' in told
+    place.poll()
+    assert not place.busy and place.message is None
 
 
 @pytest.mark.slow

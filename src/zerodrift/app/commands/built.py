@@ -61,7 +61,7 @@ def _tell_refusal(config: Config, *, shown: bool) -> str:
         refusal = from_json(Refusal, kept)
     except ValueError:
         return ""
-    reasons = " ".join(statement.text for statement in refusal.refused)
+    reasons = " ".join(f"{statement.text.rstrip('.')}." for statement in refusal.refused)
     older = " What is shown here is the firmware before that one." if shown else ""
     return f"The last `zerodrift firmware` was refused and wrote nothing: {reasons}{older}"
 
