@@ -10,6 +10,7 @@ LABELS = {
     "lookalikes": "An effect is missing; look-alikes",
     "complete": "Nothing is missing",
     "unknown": "An effect that the catalogue does not know",
+    "wrong data": "The logs hold wrong data",
     "not testable": "Not testable with these logs",
     "none": "No verdict",
 }
@@ -23,7 +24,7 @@ class Headline:
     """What a page says first."""
 
     kind: str
-    """missing | lookalikes | complete | unknown | not testable | none."""
+    """missing | lookalikes | complete | unknown | wrong data | not testable | none."""
     sentence: str
 
     @property
@@ -72,6 +73,12 @@ def write_headline(diagnosis: Diagnosis | None, titles: Mapping[str, str]) -> He
         untested = len(diagnosis.not_testable)
         limit = f" that these logs can test ({untested} cannot be tested)" if untested else ""
         return Headline("complete", f"Nothing is missing{limit}; {at_floor}.")
+    if runs := diagnosis.tell_wrong_runs():
+        return Headline(
+            "wrong data",
+            f"The data of {runs} look wrong: no effect can be named before they are mended or left"
+            f" out; {at_floor}.",
+        )
     nearest = f" Nearest, and not all of it: {diagnosis.nearest}." if diagnosis.nearest else ""
     return Headline(
         "unknown",

@@ -144,9 +144,23 @@ def _show_planned(outcome: PlanResult) -> list[Component]:
     return [show_picture(draw_programme(outcome)), *told, *notes]
 
 
-def show_firmware(findings: Findings) -> list[Component]:
-    """Return the last firmware where it is current: to take away, to use, and what it rests on."""
+def is_refused(outcome: Outcome | None) -> bool:
+    """Tell whether the last command's outcome says why no firmware was written."""
+    if isinstance(outcome, FirmwareSummary):
+        return not outcome.written
+    return isinstance(outcome, LogsRefused)
+
+
+def show_firmware(findings: Findings, outcome: Outcome | None = None) -> list[Component]:
+    """Return the last firmware where it is current: to take away, to use, and what it rests on.
+
+    Args:
+        findings: hold the firmware, or why there is none.
+        outcome: what the last command found; reasons that it shows are not told twice.
+    """
     firmware, certificate = findings.firmware, findings.certificate
+    if firmware is None and is_refused(outcome):
+        return []
     if firmware is None:
         return [html.P(findings.firmware_note, className="note")]
     compared = findings.comparison

@@ -230,7 +230,7 @@ def show_sections(place: Workplace, told: bool | None) -> Shown:
         panels.show_errors(findings, hides=waits),
         panels.show_model(findings),
         outcomes.show_outcome(outcome) if outcome is not None else [],
-        outcomes.show_firmware(findings),
+        outcomes.show_firmware(findings, outcome),
         *show_chip(place),
     )
 

@@ -69,6 +69,11 @@ def told(verdict, effect=None, **changes):
         ),
         (told("complete", candidates=()), "not testable", "can test no further effect"),
         (told("unknown", nearest="creep"), "unknown", "Nearest, and not all of it: creep"),
+        (
+            told("unknown", nearest="creep", notes=(wrong("run_3", "fahrenheit"),)),
+            "wrong data",
+            "The data of run_3 look wrong",
+        ),
         (told("complete", noise_floor_source="estimated"), "complete", "which is estimated"),
         (None, "none", "Not diagnosed"),
     ],

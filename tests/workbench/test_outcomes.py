@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
 from tests.plan.projects import write_blank
+from tests.report.conftest import make_findings
 from tests.verify.test_manifest import make_summary
 
 from zerodrift.diagnosis.formula.curve import FormulaCurve
@@ -17,7 +18,8 @@ from zerodrift.report.results import (
     ProposeResult,
     read_result,
 )
-from zerodrift.workbench.outcomes import show_outcome
+from zerodrift.verify.summary import LogsRefused, Statement
+from zerodrift.workbench.outcomes import show_firmware, show_outcome
 
 BOX = ProposedBlackBox("lag bank", "T", {"Fz": 0.2}, {"Fz": 0.1}, 2.0, 1.0, False, "falls")
 FORMULA = {
@@ -76,3 +78,10 @@ def test_a_formula_is_drawn_against_what_is_left():
 def test_what_the_gate_says_stands_beside_the_firmware():
     shown = write(show_outcome(make_summary("0")))
     assert "Warning: a run." in shown and "Built by force, though refused: why." in shown
+
+
+def test_why_no_firmware_was_written_is_told_once():
+    findings = make_findings(firmware=None)
+    refused = LogsRefused(refused=(Statement(kind="sign", run="a", text="why"),))
+    assert "Refused, nothing was written: why." in write(show_outcome(refused))
+    assert not show_firmware(findings, refused) and show_firmware(findings)
