@@ -81,14 +81,11 @@ def _show_built(outcome: FirmwareSummary) -> list[Component]:
         lines = [f"Refused, nothing was written: {one.text}" for one in outcome.refused]
         return [html.P(line, className="standing") for line in lines]
     equal = "bit-exact" if outcome.bit_exact else "DIFFERENT"
-    said = [f"Built by force, though refused: {one.text}" for one in outcome.refused]
-    said += [f"Warning: {one.text}" for one in outcome.warnings]
     return [
         html.P(
             f"Built: flash {outcome.flash_bytes} B, RAM {outcome.ram_bytes} B, stack "
             f"{outcome.stack_bytes} B on {outcome.core}; {equal} over {outcome.vectors} steps."
-        ),
-        *(html.P(line, className="standing") for line in said),
+        )
     ]
 
 
@@ -165,8 +162,11 @@ def show_firmware(findings: Findings, outcome: Outcome | None = None) -> list[Co
         return [html.P(findings.firmware_note, className="note")]
     compared = findings.comparison
     note = [html.P(findings.firmware_note, className="note")] if findings.firmware_note else []
+    said = [f"Built by force, though refused: {one.text}" for one in firmware.refused]
+    said += [f"Warning: {one.text}" for one in firmware.warnings]
     return [
         *note,
+        *(html.P(line, className="standing") for line in said),
         *_show_delivery(firmware),
         show_picture(draw_error_budget(firmware, compared)),
         show_table(tables.tabulate_budget(firmware, compared), folded=True),

@@ -76,7 +76,7 @@ def test_a_formula_is_drawn_against_what_is_left():
 
 
 def test_what_the_gate_says_stands_beside_the_firmware():
-    shown = write(show_outcome(make_summary("0")))
+    shown = write(show_firmware(make_findings(firmware=make_summary("0"))))
     assert "Warning: a run." in shown and "Built by force, though refused: why." in shown
 
 
