@@ -121,17 +121,30 @@ def test_a_trained_model_is_judged_by_what_its_own_calibration_leaves() -> None:
     assert sum(3 in one.possible for one in others) <= 3  # with a model that is that certain
 
 
-def weigh(own: list[float], unknown: float) -> UnitsWeighed:
-    return UnitsWeighed(np.array(own), np.full(len(own), unknown), np.ones(len(own), dtype=bool))
+def weigh(own: list[float], unknown: float, needed: float = 0.0) -> UnitsWeighed:
+    n = len(own)
+    return UnitsWeighed(
+        np.array(own), np.full(n, unknown), np.full(n, needed), np.ones(n, dtype=bool)
+    )
 
 
-def test_the_ratio_that_a_name_needs_grows_with_the_units() -> None:
-    one = np.log(1 / FALSE_NAME)
-    assert choose([weigh([one + 0.01, -50.0], 0.0)], 1).named == 0
-    assert choose([weigh([one - 0.01, -50.0], 0.0)], 1).named is None
-    many = [-50.0] * 100
-    assert choose([weigh([one + np.log(100) + 0.01, *many], 0.0)], 100).named == 0
-    assert choose([weigh([one + np.log(100) - 0.01, *many], 0.0)], 100).named is None
+def test_a_name_needs_a_probability_among_the_known_and_a_stranger() -> None:
+    odds = np.log((1 - FALSE_NAME) / FALSE_NAME)
+    assert choose([weigh([odds + 0.01, 0.0], -50.0)], 1).named == 0
+    assert choose([weigh([odds - 0.01, 0.0], -50.0)], 1).named is None
+    # rivals add up where they are as likely, and do not where they are ruled out
+    assert choose([weigh([odds + np.log(3) + 0.01, 0.0, 0.0], 0.0)], 2).named == 0
+    assert choose([weigh([odds + np.log(3) - 0.01, 0.0, 0.0], 0.0)], 2).named is None
+    assert choose([weigh([odds + 0.01, 0.0, *[-50.0] * 100], -50.0)], 101).named == 0
+
+
+def test_a_name_needs_a_ratio_that_strangers_do_not_reach() -> None:
+    assert choose([weigh([4.1, -50.0], 0.0, 4.0)], 1).named == 0
+    assert choose([weigh([3.9, -50.0], 0.0, 4.0)], 1).named is None
+    assert choose([weigh([3.9, -50.0], 0.0, 4.0)], 1).possible == (0,)
+    # one output of two is enough where the other does not speak against it
+    two = [weigh([4.1, -50.0], 0.0, 4.0), weigh([0.1, -50.0], 0.0, 4.0)]
+    assert choose(two, 1).named == 0
 
 
 def test_an_output_that_speaks_against_a_name_takes_it_away() -> None:
