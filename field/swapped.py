@@ -1,16 +1,16 @@
 """Which other unit is in place: the known one whose model leaves nothing but noise, if any does.
 
 Each known unit's model foretells the drift since the change. A unit is named once its probability
-is `SURE`, where each known one and one stranger, a unit that nobody knows, are as likely before:
-the chance of a false name, over which of them is in place, is then the rest at most, also if it is
-looked at again with each new block, as far as the noise is what was learnt.
+is `SURE`, where each known one was as likely before: the chance of a false name, whichever of them
+is in place, is then the rest at most on average, also if it is looked at again with each new block,
+as far as the noise is what was learnt.
 
 How often a stranger is named is not for that probability to say, as with many known units it may
-look like one of them. A stranger is drawn like the known ones or, where these are few, unlike in its
-dependence on temperature. So strangers are drawn, and the unit's likelihood ratio to one must
-exceed what `FALSE_NAME` of them reach with any of the known units, by now or before: a Monte Carlo
-test (Barnard, J. R. Statist. Soc. B 25, 1963), its chance spent as blocks come (Lan and DeMets,
-Discrete sequential boundaries for clinical trials, Biometrika 70, 1983).
+look like one of them. So strangers are drawn, like the known ones or, where these are few, unlike
+in their dependence on temperature; and the unit's likelihood ratio to a stranger must exceed what
+`FALSE_NAME` of them reach with any of the known units, by now or before: a Monte Carlo test
+(Barnard, J. R. Statist. Soc. B 25, 1963), its chance spent as blocks come (Lan and DeMets, Discrete
+sequential boundaries for clinical trials, Biometrika 70, 1983).
 """
 
 from collections.abc import Mapping, Sequence
@@ -58,6 +58,9 @@ class Foretold:
     """[u, n] of the other units."""
     calibrated: Array
     """[u] standard uncertainty of each one's model inside its range, in the output's unit."""
+    flagged: Array
+    """[u, n] share of a block's steps that each one's model flags, as outside its range: of them it
+    foretells no more than that the drift is that of some unit."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ def choose(told: Sequence[UnitsWeighed], units: int) -> FoundUnit:
     least = rivals.min(axis=(0, 2))
     noise = np.all([one.is_noise[:units] for one in told], axis=0)
     likely = np.sum([one.own[:units] for one in told], axis=0)
-    is_sure = logsumexp(-mean[:, :-1], axis=1) < -ODDS
+    is_sure = logsumexp(-mean[:, :-1], axis=1) < -ODDS  # the last one is the stranger
     is_named = noise & is_sure & is_apart.any(axis=0) & (least > np.log(FALSE_NAME / units))
     possible = noise & (least > np.log(FALSE_NAME))
     ranked = [int(k) for k in np.argsort(-likely, kind="stable")]
@@ -169,7 +172,7 @@ class _Way:
     """One of the ways in which the drift may be what it is, for some of the units."""
 
     chosen: NDArray[np.bool_]
-    """[u] units whose calibration is this uncertain."""
+    """[u] units that foretell the drift with this uncertainty."""
     share: int
     """Place in `MISFITS`."""
     own: Array
@@ -192,9 +195,10 @@ def weigh_units(foretold: Foretold, before: Before, false: float = FALSE_NAME) -
     left = np.vstack([foretold.residual, new.residual])
     noises = before.learned.noises if before.learned is not None else _fit_noises(new, left, before)
     calibrated = np.append(foretold.calibrated, before.rules.calibrated)
+    flagged = np.vstack([foretold.flagged, np.zeros(new.place.size)])
     middle = left.mean(axis=0)
     apart = left - middle
-    each = [_list_ways(new, left, calibrated, before, noise) for noise in noises]
+    each = [_list_ways(new, left, calibrated, flagged, before, noise) for noise in noises]
     own, unknown, is_noise, by_way = _weigh(each, middle[:, None], apart, middle.size)
     own, unknown = own[-1, 0], unknown[-1, 0]
     needed = np.full(len(left), np.inf)
@@ -215,12 +219,18 @@ def _fit_noises(new: BlockMeans, left: Array, before: Before) -> tuple[BlockNois
 
 
 def _list_ways(
-    new: BlockMeans, left: Array, calibrated: Array, before: Before, noise: BlockNoise
+    new: BlockMeans,
+    left: Array,
+    calibrated: Array,
+    flagged: Array,
+    before: Before,
+    noise: BlockNoise,
 ) -> tuple[_Left, list[_Way]]:
     """Return what is left of the noise, and the ways to explain the rest.
 
     What a unit's model leaves beside noise is as large as its own calibration says (`calibrated`
-    [u]); a stranger leaves the drift between units beside that.
+    [u]), and as much as units differ by where it is `flagged` [u, n]; a stranger leaves the drift
+    between units beside that.
     """
     old, units, n = before.blocks, len(left), new.place.size
     m = old.place.size
@@ -246,16 +256,18 @@ def _list_ways(
     linear = follow @ follow.T
     rest = new.misfit() - linear + np.eye(n)
     ways = []
-    for uncertainty in np.unique(calibrated):
-        widths = UNLIKE if units < ENOUGH else ()
+    widths = UNLIKE if units < ENOUGH else ()
+    kinds, kind = np.unique(np.column_stack([calibrated, flagged]), axis=0, return_inverse=True)
+    for number, (uncertainty, *shares) in enumerate(kinds):
+        outside = np.diag(np.square(shares) * np.diag(spread))
         for share, part in enumerate(MISFITS):
-            whole = given.covariance + uncertainty**2 * (linear + part**2 * rest)
+            whole = given.covariance + uncertainty**2 * (linear + part**2 * rest) + outside
             near = tuple(
                 cholesky(whole + (width * (typical + uncertainty)) ** 2 * linear, lower=True)
                 for width in widths
             )
             factors = cholesky(whole, lower=True), near, cholesky(whole + spread, lower=True)
-            ways.append(_Way(calibrated == uncertainty, share, *factors))
+            ways.append(_Way(kind.ravel() == number, share, *factors))
     return given, ways
 
 
@@ -271,9 +283,9 @@ def _weigh(
         first: count of blocks after which they are weighed first.
 
     Returns:
-        Log likelihoods [n + 1 - first, d, u] of each unit and of a stranger after each block; if the first
-        drift leaves no more than noise [u], after the last; and the parts of its likelihood
-        [noises, u, shares].
+        Log likelihoods [n + 1 - first, d, u] of each unit and of a stranger after each block;
+        whether the first drift leaves no more than noise [u], after the last; and the parts of its
+        likelihood [noises, u, shares].
     """
     (n, d), u = drift.shape, len(apart)
     looks = n + 1 - first
