@@ -26,6 +26,7 @@ from zerodrift.field.noise import BlockNoise, fit_noise
 from zerodrift.field.watch import SURE, UNLIKE, WAIT_S, BlockMeans, Learned, Rules
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 FALSE_NAME = 1.0 - SURE
 """Chance of a name although another unit is in place, however many are known."""
@@ -199,7 +200,7 @@ def weigh_units(foretold: Foretold, before: Before, false: float = FALSE_NAME) -
     middle = left.mean(axis=0)
     apart = left - middle
     each = [_list_ways(new, left, calibrated, flagged, before, noise) for noise in noises]
-    own, unknown, is_noise, by_way = _weigh(each, middle[:, None], apart, middle.size)
+    own, unknown, is_noise, by_way = _weigh(each, middle[:, None], apart, np.array([middle.size]))
     own, unknown = own[-1, 0], unknown[-1, 0]
     needed = np.full(len(left), np.inf)
     worth = is_noise & (own > unknown)
@@ -272,7 +273,7 @@ def _list_ways(
 
 
 def _weigh(
-    each: Sequence[tuple[_Left, list[_Way]]], drift: Array, apart: Array, first: int
+    each: Sequence[tuple[_Left, list[_Way]]], drift: Array, apart: Array, looks: Counts
 ) -> tuple[Array, Array, NDArray[np.bool_], Array]:
     """Return what some drifts tell of each unit.
 
@@ -280,26 +281,25 @@ def _weigh(
         each: by noise.
         drift: [n, d] less the mean of what the units' models foretell.
         apart: [u, n] what each unit's model leaves less that mean.
-        first: count of blocks after which they are weighed first.
+        looks: [l] counts of blocks after which they are weighed; the last is n.
 
     Returns:
-        Log likelihoods [n + 1 - first, d, u] of each unit and of a stranger after each block;
+        Log likelihoods [l, d, u] of each unit and of a stranger;
         whether the first drift leaves no more than noise [u], after the last; and the parts of its
         likelihood [noises, u, shares].
     """
     (n, d), u = drift.shape, len(apart)
-    looks = n + 1 - first
     is_noise = np.zeros(u, dtype=bool)
-    parts = np.empty((2, len(each), looks, d, u))
+    parts = np.empty((2, len(each), looks.size, d, u))
     by_way = np.empty((len(each), u, len(MISFITS)))
     for number, (given, ways) in enumerate(each):
-        both = np.empty((2, len(MISFITS), looks, d, u))
+        both = np.empty((2, len(MISFITS), looks.size, d, u))
         for way in ways:
             deviation = drift - given.middle[:, None]
             those = apart[way.chosen].T
-            likely, white = _likelihood(way.own, deviation, those, given, first)
-            strange = [_likelihood(one, deviation, those, given, first)[0] for one in way.near]
-            whole = _likelihood(way.spread, deviation, np.zeros((n, 1)), given, first)[0]
+            likely, white = _likelihood(way.own, deviation, those, given, looks)
+            strange = [_likelihood(one, deviation, those, given, looks)[0] for one in way.near]
+            whole = _likelihood(way.spread, deviation, np.zeros((n, 1)), given, looks)[0]
             strange.append(np.broadcast_to(whole, likely.shape))
             both[0][way.share][..., way.chosen] = likely
             both[1][way.share][..., way.chosen] = np.logaddexp.reduce(strange) - np.log(
@@ -325,26 +325,25 @@ def _is_noise(white: Array, given: _Left) -> NDArray[np.bool_]:
 
 
 def _likelihood(
-    factor: Array, deviation: Array, apart: Array, given: _Left, first: int
+    factor: Array, deviation: Array, apart: Array, given: _Left, looks: Counts
 ) -> tuple[Array, Array]:
-    """Return log likelihoods [n + 1 - first, d, u] of deviations [n, d] after each block from the
-    `first` on, and those of the first [n, u] whitened.
+    """Return log likelihoods [l, d, u] of deviations [n, d] after each look, and those of the first
+    [n, u] whitened.
 
     Args:
         factor: [n, n] of their covariance.
         deviation: [n, d] of the mean of the units.
         apart: [n, u] to be added for each unit.
         given: the blocks before.
-        first: a count of blocks.
+        looks: [l] counts of blocks.
     """
     drift, those = (solve_triangular(factor, one, lower=True) for one in (deviation, apart))
     white = drift[:, :, None] + those[:, None, :]
-    squares = white**2
-    squares[first - 1] = given.squares + squares[:first].sum(axis=0)
-    squares = np.cumsum(squares[first - 1 :], axis=0)
-    number = (given.before + np.arange(first, len(white) + 1))[:, None, None]
-    logs = given.scale + np.cumsum(np.log(np.diag(factor)))[first - 1 :, None, None]
-    return -0.5 * number * np.log(squares) - logs, white[:, 0]
+    parts = np.add.reduceat(white**2, np.append(0, looks[:-1]), axis=0)
+    squares = given.squares + np.cumsum(parts, axis=0)
+    number = (given.before + looks)[:, None, None]
+    logs = given.scale + np.cumsum(np.log(np.diag(factor)))[looks - 1, None, None]
+    return np.asarray(-0.5 * number * np.log(squares) - logs), white[:, 0]
 
 
 def _find_needed(
@@ -359,8 +358,8 @@ def _find_needed(
     """Return the log ratio against a stranger that one unit needs to be named.
 
     Strangers that leave as much beside noise as this unit does are drawn, and followed from the
-    first block at which a unit may be named: half of the chance is spent on that, and the rest in
-    proportion to what the blocks have added to it.
+    first block at which a unit may be named, whenever the blocks have doubled, until now: half of
+    the chance is spent on the first, and the rest in proportion to what the blocks have added.
 
     Args:
         each: by noise.
@@ -374,6 +373,8 @@ def _find_needed(
     rng = np.random.default_rng(0)
     first = count_fewest(before.rules.block_s)
     n, u = apart.shape[1], len(apart)
+    looks = first * 2 ** np.arange(int(np.log2(n / first)) + 1)
+    looks = np.unique(np.append(looks, n))
     chances = np.exp(by_way - logsumexp(by_way)).ravel()
     chosen = rng.choice(chances.size, size=DRAWN, p=chances / chances.sum())
     drift = np.empty((n, DRAWN))
@@ -382,7 +383,7 @@ def _find_needed(
         for way in mine:
             here = np.flatnonzero(chosen == number * len(MISFITS) + way.share)
             mean = (middle - given.middle)[:, None]
-            white = _likelihood(way.own, mean, apart[best][:, None], given, n)[1]
+            white = _likelihood(way.own, mean, apart[best][:, None], given, looks)[1]
             squares, degrees = given.squares + float(np.sum(white**2)), given.before + n - 1
             scale = np.sqrt(squares / rng.chisquare(degrees, size=here.size))
             kind = rng.integers(len(way.near) + 1, size=here.size)
@@ -394,12 +395,12 @@ def _find_needed(
     step = max(1, AT_ONCE // (n * u * len(MISFITS)))
     ratios = []
     for start in range(0, DRAWN, step):
-        own, unknown, _, _ = _weigh(each, drift[:, start : start + step], apart, first)
+        own, unknown, _, _ = _weigh(each, drift[:, start : start + step], apart, looks)
         ratios.append((own - unknown)[..., :-1].max(axis=2))
     ratio = np.concatenate(ratios, axis=1)
     spent, needed = 0, 0.0
-    for look in range(n + 1 - first):
-        left = int(DRAWN * false * (1.0 - 0.5 * first / (first + look))) - spent
+    for look, count in enumerate(looks):
+        left = int(DRAWN * false * (1.0 - 0.5 * first / count)) - spent
         needed = max(0.0, float(np.sort(ratio[look])[::-1][left]))
         over = ratio[look] > needed
         spent += int(over.sum())
