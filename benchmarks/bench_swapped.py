@@ -102,7 +102,12 @@ def draw_case(
     found = find_unit(
         {
             "y": (
-                Foretold(new, np.stack(left), np.full(units, UNCERTAINTY)),
+                Foretold(
+                    new,
+                    np.stack(left),
+                    np.full(units, UNCERTAINTY),
+                    np.zeros((units, new.place.size)),
+                ),
                 Before(old, told.learned, rules),
             )
         },

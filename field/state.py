@@ -70,6 +70,9 @@ class SearchedOutput:
     """Of the unit that should be there."""
     others: Mapping[str, tuple[float, ...]]
     """Serial number -> the same of another unit."""
+    flagged: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Serial number -> share of each block's steps that the unit's own model flags; without it,
+    none, as in states that were kept before there was this."""
 
 
 @dataclass(frozen=True)

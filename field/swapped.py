@@ -1,11 +1,16 @@
 """Which other unit is in place: the known one whose model leaves nothing but noise, if any does.
 
-Each known unit's model foretells the drift since the change. Its likelihood is weighed against
-those of the other units, and against units that nobody knows: drawn like the known ones, or unlike
-in their dependence on temperature. A likelihood ratio exceeds A with probability 1/A at most where
-the other hypothesis is true (Markov), also if it is looked at again with each new block (Ville);
-with N units, each must exceed N / `FALSE_NAME`, so that the chance of a false name is that at most
-(Bonferroni), as far as the noise is what was learnt.
+Each known unit's model foretells the drift since the change. A unit is named once its probability
+is `SURE`, where each known one was as likely before: the chance of a false name, whichever of them
+is in place, is then the rest at most on average, also if it is looked at again with each new block,
+as far as the noise is what was learnt.
+
+How often a stranger is named is not for that probability to say, as with many known units it may
+look like one of them. So strangers are drawn, like the known ones or, where these are few, unlike
+in their dependence on temperature; and the unit's likelihood ratio to a stranger must exceed what
+`FALSE_NAME` of them reach with any of the known units, by now or before: a Monte Carlo test
+(Barnard, J. R. Statist. Soc. B 25, 1963), its chance spent as blocks come (Lan and DeMets, Discrete
+sequential boundaries for clinical trials, Biometrika 70, 1983).
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,15 +19,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
+from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
 from zerodrift.field.noise import BlockNoise, fit_noise
 from zerodrift.field.watch import SURE, UNLIKE, WAIT_S, BlockMeans, Learned, Rules
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 FALSE_NAME = 1.0 - SURE
 """Chance of a name although another unit is in place, however many are known."""
+ODDS = float(np.log(SURE / FALSE_NAME))
+"""Log of the odds for a name."""
 ENOUGH = 8
 """Units from which the known ones show how units differ; with fewer, drift may differ otherwise."""
 NO_NOISE = 1e-3
@@ -32,6 +41,10 @@ MISFITS = (0.5, 0.15, 0.05, 0.0)
 calibration's standard uncertainties: smooth in temperature, with its change, and of any form,
 another in each block; the three together nearly as much as the uncertainty at most. As that holds
 the noise of a reading too, which a mean over a block does not, it may be much less."""
+DRAWN = 500
+"""Strangers that are drawn: the chance of a false name is then known to a fifth of itself."""
+AT_ONCE = 4_000_000
+"""Numbers that are held at a time while strangers are weighed."""
 FEWEST = 6
 """Blocks since the change, and a day of them: a day has a warm and a cold hour."""
 
@@ -46,6 +59,9 @@ class Foretold:
     """[u, n] of the other units."""
     calibrated: Array
     """[u] standard uncertainty of each one's model inside its range, in the output's unit."""
+    flagged: Array
+    """[u, n] share of a block's steps that each one's model flags, as outside its range: of them it
+    foretells no more than that the drift is that of some unit."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +82,8 @@ class UnitsWeighed:
     """[u] log likelihood of each unit; the last is the one that should be there."""
     unknown: Array
     """[u] that of a unit which nobody knows, drawn in one of several ways."""
+    needed: Array
+    """[u] log ratio of the two that a name needs: more than strangers reach."""
     is_noise: NDArray[np.bool_]
     """[u] whether no more than the noise is left."""
 
@@ -92,11 +110,12 @@ def find_unit(outputs: Mapping[str, tuple[Foretold, Before]], units: int) -> Fou
         outputs: output -> what is left of it under each unit's model, and what was before.
         units: how many other units are known.
     """
-    told = [
-        weigh_units(foretold, before)
+    enough = [
+        (foretold, before)
         for foretold, before in outputs.values()
         if foretold.blocks.place.size >= count_fewest(before.rules.block_s)
     ]
+    told = [weigh_units(*one, FALSE_NAME / len(enough)) for one in enough]
     return choose(told, units) if told and units else None
 
 
@@ -104,20 +123,22 @@ def choose(told: Sequence[UnitsWeighed], units: int) -> FoundUnit:
     """Return the unit that all outputs name, if one does.
 
     The outputs' noise may be one and the same, so that their ratios are averaged, not multiplied:
-    the mean's chance to exceed A is 1/A at most, too. No output may speak against a name.
+    the mean's chance to exceed A is 1/A at most, too (Markov). Strangers must be left behind in one
+    output, whose chance is a share of the whole. No output may speak against a name.
 
     Args:
         told: by output.
         units: how many; `own` of each holds one more.
     """
     rivals = np.stack([_list_ratios(one, units) for one in told])
+    is_apart = np.stack([(one.own - one.unknown > one.needed)[:units] for one in told])
     mean = np.logaddexp.reduce(rivals, axis=0) - np.log(len(told))
-    least, against = rivals.min(axis=0), np.log(FALSE_NAME / units)
+    least = rivals.min(axis=(0, 2))
     noise = np.all([one.is_noise[:units] for one in told], axis=0)
-    enough = np.log(units / FALSE_NAME)
     likely = np.sum([one.own[:units] for one in told], axis=0)
-    is_named = noise & (mean >= enough).all(axis=1) & (least > against).all(axis=1)
-    possible = noise & (least > np.log(FALSE_NAME)).all(axis=1)
+    is_sure = logsumexp(-mean[:, :-1], axis=1) < -ODDS  # the last one is the stranger
+    is_named = noise & is_sure & is_apart.any(axis=0) & (least > np.log(FALSE_NAME / units))
+    possible = noise & (least > np.log(FALSE_NAME))
     ranked = [int(k) for k in np.argsort(-likely, kind="stable")]
     named = next((k for k in ranked if is_named[k]), None)
     left = (named,) if named is not None else tuple(k for k in ranked if possible[k])
@@ -132,17 +153,62 @@ def _list_ratios(told: UnitsWeighed, units: int) -> Array:
     return np.concatenate([others, own - told.unknown[:units, None]], axis=1)
 
 
-def weigh_units(foretold: Foretold, before: Before) -> UnitsWeighed:
-    """Return what one output tells, averaged over what its noise may be."""
+@dataclass(frozen=True)
+class _Left:
+    """What units leave, given what was before the change, for one noise."""
+
+    covariance: Array
+    """[n, n] of the noise and the zero."""
+    middle: Array
+    """[n] expected."""
+    before: int
+    squares: float
+    """Blocks before the change, and the sum of their squares, whitened; ..."""
+    scale: float
+    """... and the log of what whitening divided them by."""
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One of the ways in which the drift may be what it is, for some of the units."""
+
+    chosen: NDArray[np.bool_]
+    """[u] units that foretell the drift with this uncertainty."""
+    share: int
+    """Place in `MISFITS`."""
+    own: Array
+    """[n, n] Cholesky factor of what such a unit leaves."""
+    near: tuple[Array, ...]
+    """Those of what a stranger leaves that differs from the unit it is weighed against; ..."""
+    spread: Array
+    """... or from the mean of all."""
+
+
+def weigh_units(foretold: Foretold, before: Before, false: float = FALSE_NAME) -> UnitsWeighed:
+    """Return what one output tells, averaged over what its noise may be.
+
+    Args:
+        foretold: what is left.
+        before: what was before.
+        false: chance of a false name from this output where nobody knows the unit in place.
+    """
     new = foretold.blocks
     left = np.vstack([foretold.residual, new.residual])
     noises = before.learned.noises if before.learned is not None else _fit_noises(new, left, before)
     calibrated = np.append(foretold.calibrated, before.rules.calibrated)
-    each = [_weigh_one(new, left, calibrated, before, noise) for noise in noises]
-    own, unknown = (
-        np.logaddexp.reduce([one[i] for one in each], axis=0) - np.log(len(each)) for i in (0, 1)
-    )
-    return UnitsWeighed(own, unknown, np.any([one[2] for one in each], axis=0))
+    flagged = np.vstack([foretold.flagged, np.zeros(new.place.size)])
+    middle = left.mean(axis=0)
+    apart = left - middle
+    each = [_list_ways(new, left, calibrated, flagged, before, noise) for noise in noises]
+    own, unknown, is_noise, by_way = _weigh(each, middle[:, None], apart, np.array([middle.size]))
+    own, unknown = own[-1, 0], unknown[-1, 0]
+    needed = np.full(len(left), np.inf)
+    worth = is_noise & (own > unknown)
+    worth[-1] = False
+    if worth.any():
+        best = int(np.argmax(np.where(worth, own, -np.inf)))
+        needed[best] = _find_needed(each, middle, apart, best, by_way[:, best], before, false)
+    return UnitsWeighed(own, unknown, needed, is_noise)
 
 
 def _fit_noises(new: BlockMeans, left: Array, before: Before) -> tuple[BlockNoise, ...]:
@@ -153,71 +219,190 @@ def _fit_noises(new: BlockMeans, left: Array, before: Before) -> tuple[BlockNois
     return fit_noise(left[least], new, regressors, before.rules.block_s, few=True)
 
 
-def _weigh_one(
-    new: BlockMeans, left: Array, calibrated: Array, before: Before, noise: BlockNoise
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return log likelihoods [u] of each unit and of one that nobody knows, and who leaves noise
-    alone [u], for one noise.
+def _list_ways(
+    new: BlockMeans,
+    left: Array,
+    calibrated: Array,
+    flagged: Array,
+    before: Before,
+    noise: BlockNoise,
+) -> tuple[_Left, list[_Way]]:
+    """Return what is left of the noise, and the ways to explain the rest.
 
     What a unit's model leaves beside noise is as large as its own calibration says (`calibrated`
-    [u]); a stranger leaves the drift between units beside that.
+    [u]), and as much as units differ by where it is `flagged` [u, n]; a stranger leaves the drift
+    between units beside that.
     """
     old, units, n = before.blocks, len(left), new.place.size
     m = old.place.size
     place, count = (np.concatenate([getattr(b, k) for b in (old, new)]) for k in ("place", "count"))
-    both = BlockMeans(place, count, np.zeros(m + n), np.zeros(m + n))
-    common = noise.covariance(both)
+    common = noise.covariance(BlockMeans(place, count, np.zeros(m + n), np.zeros(m + n)))
     typical = float(np.sqrt(np.mean(np.diag(common))))
     wide = 1e4 * (float(np.std(left)) + typical) ** 2
     common[:m, :m] += wide + before.rules.calibrated**2 * old.misfit()
     common[m:, m:] += wide
-    data = np.vstack([np.repeat(old.residual[:, None], units, axis=1), left.T])
-    middle = np.concatenate([old.residual, left.mean(axis=0)])[:, None]
+    factor = cholesky(common, lower=True)
+    white = solve_triangular(factor[:m, :m], old.residual, lower=True) if m else np.zeros(0)
+    rest_factor, across = factor[m:, m:], factor[m:, :m]
+    given = _Left(
+        covariance=rest_factor @ rest_factor.T,
+        middle=across @ white,
+        before=m,
+        squares=float(white @ white),
+        scale=float(np.sum(np.log(np.diag(factor)[:m]))),
+    )
     apart = left - left.mean(axis=0)
     spread = apart.T @ apart / max(units - 1, 1) * (1.0 + 1.0 / units)
-    follow, degrees = new.follow(), (n - 1, m - 1)  # a zero is taken off both
-    rest = new.misfit() - follow @ follow.T + np.eye(n)
-    own, unknown = np.empty(units), np.empty(units)
-    is_noise = np.full(units, m < FEWEST)
-    limit = float(f_distribution.isf(NO_NOISE, *degrees)) if m >= FEWEST else 0.0
-    for uncertainty in np.unique(calibrated):
-        chosen = calibrated == uncertainty
-        likely: list[Array] = []
-        strange: list[Array] = []
-        for share in MISFITS:
-            covariance = common.copy()
-            covariance[m:, m:] += uncertainty**2 * (follow @ follow.T + share**2 * rest)
-            white, log = _whiten(covariance, data[:, chosen])
-            likely.append(log - 0.5 * (m + n) * np.log(np.sum(white**2, axis=0)))
-            ways = []
-            for width in UNLIKE if units < ENOUGH else ():
-                extra = (width * (typical + uncertainty)) ** 2 * (follow @ follow.T)
-                ways.append(_likelihood(covariance, extra, data[:, chosen]))
-            ways.append(np.repeat(_likelihood(covariance, spread, middle), int(chosen.sum())))
-            strange.append(np.logaddexp.reduce(ways, axis=0) - np.log(len(ways)))
-            if m >= FEWEST:
-                more, usual = (
-                    np.sum(w**2, axis=0) / d
-                    for w, d in zip((white[m:], white[:m]), degrees, strict=True)
-                )
-                is_noise[chosen] |= more / usual <= limit
-        own[chosen] = np.logaddexp.reduce(likely, axis=0) - np.log(len(MISFITS))
+    follow = new.follow()
+    linear = follow @ follow.T
+    rest = new.misfit() - linear + np.eye(n)
+    ways = []
+    widths = UNLIKE if units < ENOUGH else ()
+    kinds, kind = np.unique(np.column_stack([calibrated, flagged]), axis=0, return_inverse=True)
+    for number, (uncertainty, *shares) in enumerate(kinds):
+        outside = np.diag(np.square(shares) * np.diag(spread))
+        for share, part in enumerate(MISFITS):
+            whole = given.covariance + uncertainty**2 * (linear + part**2 * rest) + outside
+            near = tuple(
+                cholesky(whole + (width * (typical + uncertainty)) ** 2 * linear, lower=True)
+                for width in widths
+            )
+            factors = cholesky(whole, lower=True), near, cholesky(whole + spread, lower=True)
+            ways.append(_Way(kind.ravel() == number, share, *factors))
+    return given, ways
+
+
+def _weigh(
+    each: Sequence[tuple[_Left, list[_Way]]], drift: Array, apart: Array, looks: Counts
+) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Return what some drifts tell of each unit.
+
+    Args:
+        each: by noise.
+        drift: [n, d] less the mean of what the units' models foretell.
+        apart: [u, n] what each unit's model leaves less that mean.
+        looks: [l] counts of blocks after which they are weighed; the last is n.
+
+    Returns:
+        Log likelihoods [l, d, u] of each unit and of a stranger;
+        whether the first drift leaves no more than noise [u], after the last; and the parts of its
+        likelihood [noises, u, shares].
+    """
+    (n, d), u = drift.shape, len(apart)
+    is_noise = np.zeros(u, dtype=bool)
+    parts = np.empty((2, len(each), looks.size, d, u))
+    by_way = np.empty((len(each), u, len(MISFITS)))
+    for number, (given, ways) in enumerate(each):
+        both = np.empty((2, len(MISFITS), looks.size, d, u))
+        for way in ways:
+            deviation = drift - given.middle[:, None]
+            those = apart[way.chosen].T
+            likely, white = _likelihood(way.own, deviation, those, given, looks)
+            strange = [_likelihood(one, deviation, those, given, looks)[0] for one in way.near]
+            whole = _likelihood(way.spread, deviation, np.zeros((n, 1)), given, looks)[0]
+            strange.append(np.broadcast_to(whole, likely.shape))
+            both[0][way.share][..., way.chosen] = likely
+            both[1][way.share][..., way.chosen] = np.logaddexp.reduce(strange) - np.log(
+                len(strange)
+            )
+            is_noise[way.chosen] |= _is_noise(white, given)
+        by_way[number] = both[0, :, -1, 0].T
+        whole = logsumexp(both[0], axis=0)
+        parts[0, number] = whole - np.log(len(MISFITS))
         # a stranger leaves as much as this unit does: else the smoother hypothesis is the likelier
-        rough = likely - np.logaddexp.reduce(likely, axis=0)
-        unknown[chosen] = np.logaddexp.reduce(strange + rough, axis=0)
-    return own, unknown, is_noise
+        parts[1, number] = logsumexp(both[1] + both[0] - whole, axis=0)
+    own, unknown = logsumexp(parts, axis=1) - np.log(len(each))
+    return own, unknown, is_noise, by_way
 
 
-def _likelihood(covariance: Array, extra: Array, data: Array) -> Array:
-    """Return log likelihoods [u] of data [m + n, u] where the last n may hold more."""
-    n = len(extra)
-    whole = covariance.copy()
-    whole[-n:, -n:] += extra
-    white, log = _whiten(whole, data)
-    return np.asarray(log - 0.5 * len(data) * np.log(np.sum(white**2, axis=0)))
+def _is_noise(white: Array, given: _Left) -> NDArray[np.bool_]:
+    """Return which of some units [u] leave no more than noise, by what is left [n, u], whitened."""
+    if given.before < FEWEST:
+        return np.ones(white.shape[1], dtype=bool)
+    degrees = len(white) - 1, given.before - 1  # a zero is taken off both
+    more, usual = np.sum(white**2, axis=0) / degrees[0], given.squares / degrees[1]
+    return np.asarray(more / usual <= f_distribution.isf(NO_NOISE, *degrees))
 
 
-def _whiten(covariance: Array, data: Array) -> tuple[Array, float]:
-    factor = cholesky(covariance, lower=True)
-    white = solve_triangular(factor, data, lower=True)
-    return np.asarray(white), -float(np.sum(np.log(np.diag(factor))))
+def _likelihood(
+    factor: Array, deviation: Array, apart: Array, given: _Left, looks: Counts
+) -> tuple[Array, Array]:
+    """Return log likelihoods [l, d, u] of deviations [n, d] after each look, and those of the first
+    [n, u] whitened.
+
+    Args:
+        factor: [n, n] of their covariance.
+        deviation: [n, d] of the mean of the units.
+        apart: [n, u] to be added for each unit.
+        given: the blocks before.
+        looks: [l] counts of blocks.
+    """
+    drift, those = (solve_triangular(factor, one, lower=True) for one in (deviation, apart))
+    white = drift[:, :, None] + those[:, None, :]
+    parts = np.add.reduceat(white**2, np.append(0, looks[:-1]), axis=0)
+    squares = given.squares + np.cumsum(parts, axis=0)
+    number = (given.before + looks)[:, None, None]
+    logs = given.scale + np.cumsum(np.log(np.diag(factor)))[looks - 1, None, None]
+    return np.asarray(-0.5 * number * np.log(squares) - logs), white[:, 0]
+
+
+def _find_needed(
+    each: Sequence[tuple[_Left, list[_Way]]],
+    middle: Array,
+    apart: Array,
+    best: int,
+    by_way: Array,
+    before: Before,
+    false: float,
+) -> float:
+    """Return the log ratio against a stranger that one unit needs to be named.
+
+    Strangers that leave as much beside noise as this unit does are drawn, and followed from the
+    first block at which a unit may be named, whenever the blocks have doubled, until now: half of
+    the chance is spent on the first, and the rest in proportion to what the blocks have added.
+
+    Args:
+        each: by noise.
+        middle: [n] mean of what the units' models leave.
+        apart: [u, n] what each one leaves less that mean.
+        best: the unit.
+        by_way: [noises, shares] its log likelihood.
+        before: gives the length of a block.
+        false: the chance.
+    """
+    rng = np.random.default_rng(0)
+    first = count_fewest(before.rules.block_s)
+    n, u = apart.shape[1], len(apart)
+    looks = first * 2 ** np.arange(int(np.log2(n / first)) + 1)
+    looks = np.unique(np.append(looks, n))
+    chances = np.exp(by_way - logsumexp(by_way)).ravel()
+    chosen = rng.choice(chances.size, size=DRAWN, p=chances / chances.sum())
+    drift = np.empty((n, DRAWN))
+    for number, (given, ways) in enumerate(each):
+        mine = [way for way in ways if way.chosen[best]]
+        for way in mine:
+            here = np.flatnonzero(chosen == number * len(MISFITS) + way.share)
+            mean = (middle - given.middle)[:, None]
+            white = _likelihood(way.own, mean, apart[best][:, None], given, looks)[1]
+            squares, degrees = given.squares + float(np.sum(white**2)), given.before + n - 1
+            scale = np.sqrt(squares / rng.chisquare(degrees, size=here.size))
+            kind = rng.integers(len(way.near) + 1, size=here.size)
+            for place, factor in enumerate((way.spread, *way.near)):
+                those = here[kind == place]
+                noise = rng.normal(size=(n, those.size)) * scale[kind == place]
+                around = given.middle - (apart[best] if place else 0.0)
+                drift[:, those] = around[:, None] + factor @ noise
+    step = max(1, AT_ONCE // (n * u * len(MISFITS)))
+    ratios = []
+    for start in range(0, DRAWN, step):
+        own, unknown, _, _ = _weigh(each, drift[:, start : start + step], apart, looks)
+        ratios.append((own - unknown)[..., :-1].max(axis=2))
+    ratio = np.concatenate(ratios, axis=1)
+    spent, needed = 0, 0.0
+    for look, count in enumerate(looks):
+        left = int(DRAWN * false * (1.0 - 0.5 * first / count)) - spent
+        needed = max(0.0, float(np.sort(ratio[look])[::-1][left]))
+        over = ratio[look] > needed
+        spent += int(over.sum())
+        ratio = ratio[:, ~over]
+    return needed

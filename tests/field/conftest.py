@@ -51,13 +51,15 @@ def write_log(
     slope: float = 0.3,
     zero: np.ndarray | float = 0.0,
     with_true: bool = True,
+    swing: float = 1.0,
 ) -> Path:
     """Write a log of one row a minute: a linear zero drift, white noise, and a zero that moves."""
     rng = np.random.default_rng(seed)
     n = round(days * DAY)
     time_s = begin_s + 60.0 * np.arange(n)
     day = np.arange(n) / DAY
-    warm = 25 + 7 * np.sin(2 * np.pi * day) + 3 * np.sin(2 * np.pi * day / 5.3 + seed)
+    warm = 7 * np.sin(2 * np.pi * day) + 3 * np.sin(2 * np.pi * day / 5.3 + seed)
+    warm = 25 + swing * warm
     load = 10.0 * (np.arange(n) % 7 > 3)
     y = load + slope * (warm - 25) + zero + rng.normal(0, NOISE, n)
     frame = np.column_stack([time_s, warm, y, load] if with_true else [time_s, warm, y])

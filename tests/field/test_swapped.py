@@ -16,6 +16,8 @@ from zerodrift.field.summary import MonitorResult, UnitSought
 from zerodrift.report.results import read_result
 
 SLOPES = {"SN01": 0.30, "SN02": 1.9, "SN03": -1.4, "SN04": 0.9}
+SWINGS = {"SN04": 0.7}
+"""Of temperature while it was calibrated, as a share of the others'."""
 SWAPPED = 20 * DAY
 FLEET = '\n[fleet]\nfolder = "units/{sensor}"\n'
 BLOCK = '\n[firmware]\ncoefficients = "block"\n'
@@ -32,7 +34,8 @@ def make_fleet(folder: Path, more: str = "") -> Path:
         unit = folder / "units" / serial
         unit.mkdir(parents=True)
         for run in range(4):
-            write_log(unit / f"run{run}.csv", 100 * number + run, 2.0, slope=slope)
+            seed, swing = 100 * number + run, SWINGS.get(serial, 1.0)
+            write_log(unit / f"run{run}.csv", seed, 2.0, slope=slope, swing=swing)
     (folder / "zerodrift.toml").write_text(render_fleet(more), encoding="utf-8")
     result = CliRunner().invoke(cli, ["fleet", "-C", str(folder), "--jobs", "1"])
     assert result.exit_code == 0, result.output
@@ -45,11 +48,17 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_fleet(tmp_path_factory.mktemp("swapped") / "fleet")
 
 
-def write_swapped(path: Path, slope: float, *, first: int = 0, days: int = 30) -> Path:
-    """Write a log of SN01, in whose place another unit is from day 20 on."""
+def write_swapped(
+    path: Path, slope: float, *, first: int = 0, days: int = 30, bend: float = 0.0
+) -> Path:
+    """Write a log of SN01, in whose place another unit is from day 20 on.
+
+    Its drift bends by `bend` N per kelvin farther than 7.5 K from 25 degC.
+    """
     day = np.arange(30 * DAY) / DAY
     warm = 25 + 7 * np.sin(2 * np.pi * day) + 3 * np.sin(2 * np.pi * day / 5.3 + 11)
-    zero = (np.arange(30 * DAY) >= SWAPPED) * (1.0 + (slope - SLOPES["SN01"]) * (warm - 25))
+    drift = (slope - SLOPES["SN01"]) * (warm - 25) + bend * np.maximum(np.abs(warm - 25) - 7.5, 0)
+    zero = (np.arange(30 * DAY) >= SWAPPED) * (1.0 + drift)
     whole = write_log(path, 11, 30, begin_s=BEGIN_S, slope=SLOPES["SN01"], zero=zero)
     lines = whole.read_text().splitlines()
     rows = lines[1 + first * DAY : 1 + (first + days) * DAY]
@@ -115,6 +124,14 @@ def test_a_name_comes_from_logs_of_several_calls(fleet, tmp_path) -> None:
     kept = json.loads((tmp_path / "s.json").read_text())["sought"]
     assert kept["named"] == "SN03"
     assert set(kept["models"]) == {"SN02", "SN03", "SN04"}
+
+
+def test_a_unit_is_named_that_is_in_use_outside_its_calibrated_range(fleet, tmp_path) -> None:
+    log = write_swapped(tmp_path / "a.csv", SLOPES["SN04"], days=23, bend=2.0)
+    assert read_sought(watch(fleet, tmp_path, log, "--json")).named == "SN04"
+    kept = json.loads((tmp_path / "s.json").read_text())["sought"]["outputs"]["y"]
+    assert max(kept["flagged"]["SN04"]) > 0.1
+    assert max(kept["flagged"]["SN02"]) == 0.0
 
 
 def test_a_unit_that_was_there_from_the_first_sample_is_named(fleet, tmp_path) -> None:

@@ -154,8 +154,10 @@ def _foretell(
     """Return, by output, the means that each unit's model leaves; that which should be there first.
 
     All are taken over the same steps: those that carry no flag of the unit that should be there.
+    The other units follow once more, with the share of these steps that each one's model flags.
     """
     told: dict[str, list[BlockMeans]] = {}
+    flagged: dict[str, list[BlockMeans]] = {}
     usable = new
     for number, chip in enumerate(chips):
         left = apply_to(chip, deployed.config, log)
@@ -165,7 +167,16 @@ def _foretell(
             here = usable & np.isfinite(residual)
             means = make_blocks(time_s[here], residual[here], log.temperature[here], state.block_s)
             told.setdefault(name, []).append(means)
-    return told
+            if number:
+                marked = _share_flagged(left.flags[here] != 0, time_s[here], state.block_s)
+                flagged.setdefault(name, []).append(replace(means, residual=marked))
+    return {name: told[name] + flagged.get(name, []) for name in told}
+
+
+def _share_flagged(flagged: NDArray[np.bool_], time_s: Array, block_s: float) -> Array:
+    """Return the share of each block's steps that are flagged."""
+    _, index, count = np.unique(np.floor(time_s / block_s), return_inverse=True, return_counts=True)
+    return np.asarray(np.bincount(index, weights=flagged, minlength=count.size) / count)
 
 
 def _add(
@@ -178,7 +189,9 @@ def _add(
         before = outputs.get(name)
         means = newer
         if before is not None:
+            none = (0.0,) * len(before.place)
             kept = [before.own, *(before.others[serial] for serial in serials)]
+            kept += [before.flagged.get(serial, none) for serial in serials]
             place = np.array(before.place, dtype=np.int64)
             count, temperature = np.array(before.count), np.array(before.temperature)
             older = [BlockMeans(place, count, np.array(one), temperature) for one in kept]
@@ -190,7 +203,10 @@ def _add(
                 _shorten(first.count),
                 _shorten(first.temperature),
                 _shorten(first.residual),
-                {s: _shorten(m.residual) for s, m in zip(serials, others, strict=True)},
+                *(
+                    {s: _shorten(m.residual) for s, m in zip(serials, part, strict=True)}
+                    for part in (others[: len(serials)], others[len(serials) :])
+                ),
             )
 
 
@@ -208,14 +224,17 @@ def _decide(
         watched = state.outputs[name]
         if not change.is_first and watched.learned is None:
             continue
-        means, others = _whole(output, state.block_s / deployed.config.sample_period_s, serials)
+        means, others, flagged = _whole(
+            output, state.block_s / deployed.config.sample_period_s, serials
+        )
         uncertainty = deployed.uncertainty.outputs.get(name) if deployed.uncertainty else None
         standard = uncertainty.standard if uncertainty else float(np.std(watched.residual))
         rules = Rules(state.per_month, state.block_s, standard, state.learn_s)
         learned = None if change.is_first else watched.learned
         before = watched.blocks.first(learned.blocks if learned is not None else 0)
         calibrated = np.array([unit.calibrated.get(name, standard) for unit in units])
-        weighed[name] = (Foretold(means, others, calibrated), Before(before, learned, rules))
+        foretold = Foretold(means, others, calibrated, flagged)
+        weighed[name] = (foretold, Before(before, learned, rules))
     found = find_unit(weighed, len(serials))
     if found is None:
         return "", None
@@ -225,8 +244,8 @@ def _decide(
 
 def _whole(
     output: SearchedOutput, samples: float, serials: tuple[str, ...]
-) -> tuple[BlockMeans, Array]:
-    """Return the means without the last one, if that may still gain samples."""
+) -> tuple[BlockMeans, Array, Array]:
+    """Return the means and what is flagged, without the last block if that may gain samples."""
     n = len(output.place)
     if output.count[-1] < round(samples) and n < MOST:
         n -= 1
@@ -235,7 +254,9 @@ def _whole(
         *(np.array(values) for values in (output.count, output.own, output.temperature)),
     )
     others = np.array([output.others[serial] for serial in serials])
-    return means.first(n), others[:, :n]
+    none = (0.0,) * len(output.place)
+    flagged = np.array([output.flagged.get(serial, none) for serial in serials])
+    return means.first(n), others[:, :n], flagged[:, :n]
 
 
 def tell_sought(state: MonitorState) -> UnitSought | None:
