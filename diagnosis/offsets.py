@@ -13,15 +13,13 @@ from zerodrift.operations.graph import Node
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Feature
-from zerodrift.physics.fit import flat_weights
+from zerodrift.physics.fit import TARE_RATIO, flat_weights
 from zerodrift.physics.projection import list_coordinates, set_coordinates
 from zerodrift.physics.run_offsets import (
     NO_TREND,
     STILL_SCATTERED,
-    TARE_RATIO,
     ClockTrend,
     follows_clock_alone,
-    leaves_offsets,
     measure_clock_trend,
 )
 from zerodrift.physics.search import Found, grid, search
@@ -71,7 +69,7 @@ def lay_out_runs(
         return Layout(tared)
     own = search(tared, terms, flat_weights(tared))
     shared = search(common, own.terms, flat_weights(common), vary=())
-    if _compare(shared, own) < TARE_RATIO or not leaves_offsets(tared, own):
+    if _compare(shared, own) < TARE_RATIO:
         return Layout(common)
     trend = measure_clock_trend(tared, own)
     if trend.is_real:

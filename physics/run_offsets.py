@@ -1,27 +1,19 @@
-"""Whether runs have offsets of their own, and whether these follow the clock: ageing, no tare."""
+"""Whether the offsets of the runs follow the clock: then they are ageing, and no tare."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.chip_codes import FLAG_MARGIN_K
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.effect import Effect
 from zerodrift.physics.search import Found
-from zerodrift.physics.tracks import build_stretches
 
 Array = NDArray[np.float64]
 
-TARE_RATIO = 1.25
-"""Runs have offsets of their own where these lower the squared error by more than this factor."""
-ROUND_OFF = 1e-12
-"""Of the largest squared error of an output: what is less is none."""
-
 FEWEST = 3
-"""Two offsets lie on a line whatever they are, and one of two runs may be the odd one."""
+"""Two offsets lie on a line whatever they are."""
 BENDS = (0.03, 0.1, 0.3, 1.0)
 """A logarithmic drift turns from a line into a logarithm after these shares of the clock's span."""
 STILL_SCATTERED = 0.1
@@ -32,101 +24,6 @@ TREND_BY_CHANCE = 0.005
 DRAWS = 4000
 """Normal offsets drawn to tell what chance leaves; as many orders of the runs, where there are
 more."""
-
-
-def leaves_offsets(tared: Campaign, found: Found) -> bool:
-    """Return whether a model leaves runs offsets of their own; see `have_own_offsets`.
-
-    Args:
-        tared: the runs, each with an offset of its own.
-        found: the model fitted to them.
-    """
-    left = []
-    built = build_stretches(tared.runs, tared.plan, found.terms, tared.order)
-    for run, (_, *columns) in zip(tared.runs, built, strict=True):
-        rest = run.steady_drift
-        for column, row in zip(columns, found.solution.coefficients.T, strict=True):
-            rest = rest - column.signal[:, None] * row
-        left.append(rest)
-    names = {group: i for i, group in enumerate(tared.groups)}
-    return have_own_offsets(
-        np.concatenate([np.full(len(run), names[run.group]) for run in tared.runs]),
-        np.concatenate([run.temperature_degC for run in tared.runs]),
-        np.concatenate(left),
-    )
-
-
-def have_own_offsets(
-    run: NDArray[np.int64], temperature_degC: Array, left: Sequence[Array] | Array
-) -> bool:
-    """Return whether what a model leaves shows an offset of each run, as tared logs have.
-
-    An offset is one beside any function of temperature: runs are compared where they were at the
-    same temperature, to FLAG_MARGIN_K, and what each of them adds there is solved by least squares.
-    So soaks, a run for each temperature, have none that could be told. And the offsets must lower
-    the squared error by more than TARE_RATIO whichever run is left aside, or a single bad one would
-    make all logs tared: two runs are too few to tell.
-
-    Args:
-        run: [n] the run of each row, numbered from 0.
-        temperature_degC: [n].
-        left: [n, K] what the model leaves of the drift, the runs' offsets in it.
-    """
-    count = int(run.max()) + 1
-    if count < FEWEST:
-        return False
-    bins = np.floor(temperature_degC / FLAG_MARGIN_K).astype(np.int64)
-    places, cell = np.unique(np.stack([run, bins - bins.min()]), axis=1, return_inverse=True)
-    runs, where = places
-    rows = np.bincount(cell.ravel()).astype(np.float64)
-    values = np.asarray(left, dtype=np.float64)
-    values = values - values.mean(axis=0)
-    sums = np.stack([np.bincount(cell.ravel(), column) for column in values.T], axis=1)
-    squares = np.stack([np.bincount(cell.ravel(), column) for column in values.T**2], axis=1)
-    within = squares - sums**2 / rows[:, None]
-    return all(
-        _compare_offsets(
-            runs[runs != r], where[runs != r], rows[runs != r], sums[runs != r], within[runs != r]
-        )
-        >= TARE_RATIO
-        for r in range(count)
-    )
-
-
-def _compare_offsets(
-    run: NDArray[np.int64],
-    place: NDArray[np.int64],
-    rows: Array,
-    sums: Array,
-    within: Array,
-) -> float:
-    """Return the squared error without offsets over that with them, averaged over outputs.
-
-    Args:
-        run: [C] of each cell, a run at a temperature.
-        place: [C] its temperature.
-        rows: [C] how many samples it has.
-        sums: [C, K] of what is left.
-        within: [C, K] squares about the cell's mean.
-    """
-    _, run = np.unique(run, return_inverse=True)
-    _, place = np.unique(place, return_inverse=True)
-    shape = (int(run.max()) + 1, int(place.max()) + 1)
-    counts = np.zeros(shape)
-    counts[run, place] = rows
-    of_place = counts.sum(axis=0)
-    totals = np.zeros((*shape, sums.shape[1]))
-    totals[run, place] = sums
-    means = totals.sum(axis=0) / of_place[:, None]
-    shared = within.sum(axis=0) + np.sum(sums**2 / rows[:, None], axis=0)
-    shared -= np.sum(of_place[:, None] * means**2, axis=0)
-    # The normal equations of the runs' offsets, those of the temperatures eliminated.
-    normal = np.diag(counts.sum(axis=1)) - (counts / of_place) @ counts.T
-    right = totals.sum(axis=1) - counts @ means
-    offsets = np.linalg.lstsq(normal, right, rcond=None)[0]
-    own = shared - np.sum(offsets * right, axis=0)
-    floor = ROUND_OFF * max(float(shared.max()), 1e-300)
-    return float(np.mean((shared + floor) / (np.maximum(own, 0.0) + floor)))
 
 
 @dataclass(frozen=True)

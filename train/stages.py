@@ -10,9 +10,8 @@ from zerodrift.base.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.fit import fit
+from zerodrift.physics.fit import TARE_RATIO, fit
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.run_offsets import have_own_offsets
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lags import choose_lags
 from zerodrift.train.linear import fit_linear
@@ -118,15 +117,13 @@ def settle_offsets(runs: Sequence[Run], left: Sequence[Array]) -> tuple[Array, d
     together = np.concatenate(left)
     constant = together.mean(axis=0)
     means = mean_by_group(runs, left)
-    tared = runs[0].tared
-    if tared is None:
-        names = {group: i for i, group in enumerate(means)}
-        tared = have_own_offsets(
-            np.concatenate([np.full(len(run), names[run.group]) for run in runs]),
-            np.concatenate([run.temperature_degC for run in runs]),
-            together,
-        )
-    if len(means) < 2 or not tared:
+    own = np.concatenate([r - means[run.group] for run, r in zip(runs, left, strict=True)])
+    squares = np.sum((together - constant) ** 2, axis=0)
+    floor = 1e-12 * max(float(squares.max()), 1e-300)
+    ratio = float(np.mean((squares + floor) / (np.sum(own**2, axis=0) + floor)))
+    said = runs[0].tared
+    shared = ratio < TARE_RATIO if said is None else not said
+    if len(means) < 2 or shared:
         return constant, {}
     # Each run counts once in the constant; what it has beyond that is its tare's.
     constant = np.mean(list(means.values()), axis=0)

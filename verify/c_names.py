@@ -31,6 +31,11 @@ ENTRIES = ("init", "settle", "step", "selftest", "save", "restore")
 FURTHER = ("step_after", "restore_after", "tare", "untare")
 """Entries of models whose steps are told their time, or whose drift counts from a moment on."""
 OF_BLOCKS = ("check_block", "choose_block")
+OWN = (
+    *("advance", "rest", "relax", "begin", "hold", "sum_up", "convert", "lacks_reading"),
+    *("state_is_sound", "tables_are_sound", "is_admissible"),
+)
+"""Functions of a model's own that its entries call."""
 OF_NODES = re.compile(r"[a-z]\w*_(?:step|relax|is_sound)")
 OF_ASSEMBLY = re.compile(r"[a-z]\w*_assembly")
 SIGNATURES = (
@@ -61,6 +66,7 @@ class _NameCheck:
     def __init__(self, program: Program, prefix: str) -> None:
         self._program, self._prefix = program, prefix
         self._entries = {f"{prefix}_{name}" for name in (*ENTRIES, *FURTHER, *OF_BLOCKS)}
+        self._own = {f"{prefix}_{name}" for name in OWN} | self._entries
 
     def _refuse(self, at: int, why: str) -> NotUnderstoodError:
         return NotUnderstoodError(f"{self._program.place(at)}: {why}")
@@ -95,7 +101,7 @@ class _NameCheck:
 
     def _check_function(self, name: str, at: int) -> None:
         """Entries are declared in the header; all else is static, and of the source."""
-        program, own = self._program, name.startswith(f"{self._prefix}_")
+        program, own = self._program, name in self._own
         if (name in self._entries) != self._is_header(at):
             raise self._refuse(at, f"{name}: the header declares the entries, and nothing else")
         if (name in self._entries) == (name in program.static):

@@ -5,7 +5,7 @@ import json
 
 def test_add_tells_what_compare_tells_where_offsets_are_read_anew(make_project, zerodrift):
     """The model without the lag takes the runs' offsets for a tare; the one with it does not."""
-    project = make_project(runs=7, dwell=False, tau_s=150.0)
+    project = make_project(runs=7, dwell=False, tau_s=108.0)
 
     def read(*arguments):
         result = zerodrift(*arguments, "-C", project.directory, "--json")

@@ -11,7 +11,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.physics.fit import fit
-from zerodrift.physics.run_offsets import TREND_BY_CHANCE, have_own_offsets, weigh_trend
+from zerodrift.physics.run_offsets import TREND_BY_CHANCE, weigh_trend
 
 DAYS = np.array([0.0, 2.1, 3.0, 5.5, 6.2, 9.0, 11.3, 12.0])
 
@@ -108,44 +108,3 @@ def test_offsets_of_a_model_with_ageing_that_follow_no_clock_stay_a_tare(tempco)
         full_scale=dataset.full_scale,
     )
     assert model.tared
-
-
-def draw_left(temperatures, offsets, curve=lambda t: 0.0 * t):
-    """Return run, temperature and what is left [n, 1] of runs at these temperatures [R, n]."""
-    rng = np.random.default_rng(5)
-    temperatures = np.asarray(temperatures)
-    left = curve(temperatures) + np.asarray(offsets)[:, None]
-    left = left + rng.normal(0.0, 0.1, temperatures.shape)
-    run = np.repeat(np.arange(len(temperatures)), temperatures.shape[1])
-    return run, temperatures.ravel(), left.reshape(-1, 1)
-
-
-RAMPS = np.linspace(10.0, 40.0, 300) + np.zeros((5, 1))
-
-
-def test_offsets_of_all_runs_are_their_own_and_that_of_one_is_not():
-    assert have_own_offsets(*draw_left(RAMPS, [0.3, -0.2, 0.1, -0.3, 0.2]))
-    assert not have_own_offsets(*draw_left(RAMPS, [0.0, 0.0, 0.0, 0.0, 9.0]))
-    assert not have_own_offsets(*draw_left(RAMPS, [0.0] * 5))
-    assert not have_own_offsets(*draw_left(RAMPS[:2], [1.0, -1.0]))
-    assert have_own_offsets(*draw_left(RAMPS[:3], [1.0, -1.0, 0.4]))
-
-
-def test_offsets_that_only_a_temperature_of_its_own_shows_are_none():
-    """Soaks: the runs differ by a curve in temperature that the model lacks, or by a tare."""
-    soaks = np.array([5.0, 15.0, 25.0, 35.0, 45.0])[:, None] + np.zeros(300)
-    assert not have_own_offsets(*draw_left(soaks, [0.3, -0.2, 0.1, -0.3, 0.2]))
-    assert not have_own_offsets(*draw_left(soaks, [0.0] * 5, lambda t: 0.01 * (t - 25.0) ** 2))
-    twice = np.concatenate([soaks, soaks])  # two runs at each temperature tell
-    assert have_own_offsets(
-        *draw_left(twice, [0.3, -0.2, 0.1, -0.3, 0.2] * 2)[:2],
-        draw_left(twice, np.tile([0.4, -0.4], 5))[2],
-    )
-    assert not have_own_offsets(*draw_left(twice, [0.0] * 10, lambda t: 0.01 * (t - 25.0) ** 2))
-
-
-def test_one_bad_run_does_not_make_all_logs_tared(tempco):
-    dataset = shifted(make_dataset(linear, length=300, runs=6, tared=False), [0, 0, 0, 0, 0, 60])
-    args = {"outputs": dataset.outputs, "units": dataset.units, "full_scale": dataset.full_scale}
-    assert not fit(tempco, dataset.train, **args).tared
-    assert fit(tempco, make_dataset(linear, length=300, runs=6).train, **args).tared

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from zerodrift.dataset.bridges import join_stretches
 from zerodrift.dataset.runs import Run
+from zerodrift.physics.fit import TARE_RATIO
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.run_offsets import have_own_offsets
 from zerodrift.train.front_end import TEMPERATURE, FrontEnd, read_source
 from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
 from zerodrift.train.lag_bank.loads import LOAD_SHARE, LoadPart, fit_loads
@@ -185,7 +185,7 @@ def _residual(rows: Rows) -> Array:
 
 
 def _is_tared(rows: Rows, said: bool | None) -> bool:
-    """Return whether runs have offsets of their own beside what a small bank explains.
+    """Return whether offsets of their own for the runs lower the squared error by enough.
 
     Args:
         rows: without what loads add.
@@ -196,10 +196,8 @@ def _is_tared(rows: Rows, said: bool | None) -> bool:
     if said is not None:
         return said
     own = Rows(rows.data, rows.weight, True, rows.unit)
-    columns = own.columns(_list_trial_lags(own))
-    member = fit_linear(own, columns, 1e-6, own.everything)
-    left = own.targets - columns @ member.linear
-    return have_own_offsets(own.data.run_group, own.data.temperature_degC, left)
+    shared, apart = (np.sum(_residual(r) ** 2, axis=0) + 1e-12 for r in (rows, own))
+    return bool(np.mean(shared / apart) >= TARE_RATIO)
 
 
 def _weigh(rows: Rows) -> Array:
