@@ -77,6 +77,12 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     return notes
 
 
+def find_unit_changes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on thermometers alone whose unit changes within a run."""
+    found = find_breaks(runs, outputs)
+    return [n for n in found if n.column == "temperature" and n.kind == "unit_change"]
+
+
 def _follows_load(run: Run, k: int, row: int) -> bool:
     """Return whether what an output does behind a row is what its load does there."""
     moved, load = (np.diff(x[row:, k]) for x in (run.measured, run.reference))
@@ -128,17 +134,6 @@ def _reach(x: Array, at: int) -> float:
 def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
     size = found.after - found.before
     rows = (found.row, len(run) - 1)
-    stand = _measure_stand(run.temperature_degC, found.row)
-    if stand >= STANDS:
-        return DataNote(
-            run.group,
-            "temperature",
-            (found.row - stand, found.row - 1),
-            "frozen",
-            f"the thermometer repeats one value {stand} times and then jumps from "
-            f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
-            "rows out ([logs] train takes file@from:to), or record the run again",
-        )
     for words, value in (
         ("degC before it and degF behind", 1.8 * found.before + 32.0),
         ("degF before it and degC behind", (found.before - 32.0) / 1.8),
@@ -155,6 +150,17 @@ def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
                 f"{words}: the unit changes within the run. Convert one part, or cut the run there "
                 "(file@from:to)",
             )
+    stand = _measure_stand(run.temperature_degC, found.row)
+    if stand >= STANDS:
+        return DataNote(
+            run.group,
+            "temperature",
+            (found.row - stand, found.row - 1),
+            "frozen",
+            f"the thermometer repeats one value {stand} times and then jumps from "
+            f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
+            "rows out ([logs] train takes file@from:to), or record the run again",
+        )
     return DataNote(
         run.group,
         "temperature",

@@ -122,7 +122,8 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
     if float(np.median(apart_from / np.maximum(across, 1e-300))) < ALONE:
         return False
     jumps = np.minimum(across, apart_from)
-    ordinary = float(np.quantile(usual, ORDINARY))
+    # A column that rests most of the time still moves by its usual step.
+    ordinary = max(float(np.quantile(usual, ORDINARY)), float(np.median(usual[usual > 0.0])))
     value = float(x[rows][0])
     apart = float(np.abs(x[kept] - value).min())
     among = float(x[kept].min()) < value < float(x[kept].max())

@@ -87,7 +87,11 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
         told = 0
         for stand in stands:
             # Stands of one run at one value are one fault.
-            others = [s for s in stands if s.run is not stand.run or s.value != stand.value]
+            others = [
+                s
+                for s in stands
+                if s.run.group != stand.run.group or (s.run is stand.run and s.value != stand.value)
+            ]
             usual = max((s.length for s in others), default=1)
             least = max(FEWEST_STANDING, SHARE_STANDING * len(stand.run))
             if stand.length < max(least, LONGER * usual):
@@ -151,9 +155,11 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             level = float(x[rows[0]])
             others = [other.measured[:, k] for other in runs if other.group != run.group]
             margin = BEYOND_RAIL * float(np.ptp(x))
-            passed = any(
+            beyond = [
                 (y.max() > level + margin) if high else (y.min() < level - margin) for y in others
-            )
+            ]
+            # One run alone that passes it may be the one that is wrong.
+            passed = sum(beyond) >= min(2, len(beyond)) > 0
             # A few samples on a short plateau of the load are alike by chance; an output that is
             # cut off stands still while its load moves, or for long.
             if rows[0] == 0 and rows[-1] == rows.size - 1:
@@ -175,16 +181,18 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     return notes
 
 
+def find_wraps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on counters that wrap."""
+    found = (_find_wrap(run, name, k) for k, name in enumerate(outputs) for run in runs)
+    return [note for note in found if note is not None]
+
+
 def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
-    """Return notes on jumps of the zero, and on counters that wrap, in few of the runs."""
+    """Return notes on jumps of the zero in few of the runs."""
     notes: list[DataNote] = []
     for k, name in enumerate(outputs):
         found = []
         for run in runs:
-            wrap = _find_wrap(run, name, k)
-            if wrap is not None:
-                notes.append(wrap)
-                continue
             leaps = list_leaps(run, k)
             if leaps:
                 found.append((run, leaps))
