@@ -16,7 +16,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.agreement import FEWEST_RUNS, Bench, Course, Standing
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.misfits import WRONG_GAIN, tell_gain
-from zerodrift.diagnosis.sentinels import RECURS
+from zerodrift.diagnosis.sentinels import tell_wild
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,6 +52,8 @@ class Explanation:
     courses: tuple[Course, ...]
     fitted: bool = False
     """Whether a number or rows were chosen by the run itself, ..."""
+    seen: bool = False
+    """Whether the columns alone show it, and the fit that it matters: stands and spikes."""
     shrinks: float = 1.0
     """... and by what its outputs are divided, which makes whatever is left small."""
 
@@ -97,21 +99,21 @@ def find_units(bench: Bench, rest: frozenset[int]) -> list[DataNote]:
 def weigh(bench: Bench, i: int, rest: frozenset[int], now: Standing) -> Explanation | None:
     """Return the explanation that leaves least of a run; None where none makes it agree."""
     best: Explanation | None = None
-    least = np.inf
+    least = (True, np.inf)
     for tried in _list_all(bench, i, rest, now):
         after = bench.assess(i, rest, tried.courses)
-        if after is None or not _helps(now, after):
+        if after is None:
+            continue
+        doubts = float(now.doubt.max()), float(after.doubt.max())
+        agrees = doubts[1] <= AGREES and after.error <= EXPLAINED * now.error
+        most = EXPLAINED if tried.seen else CLEARLY
+        if not agrees and max(after.error / now.error, doubts[1] / doubts[0]) > most:
             continue
         counts = after.error * max(tried.shrinks, 1.0) / (FITTED if tried.fitted else 1.0)
-        if counts < least:
-            best, least = tried, counts
+        # What makes the run agree comes before what only takes most of the misfit away.
+        if (not agrees, counts) < least:
+            best, least = tried, (not agrees, counts)
     return best
-
-
-def _helps(before: Standing, after: Standing) -> bool:
-    doubts = float(before.doubt.max()), float(after.doubt.max())
-    share = max(after.error / before.error, doubts[1] / doubts[0])
-    return share <= CLEARLY or (doubts[1] <= AGREES and after.error <= EXPLAINED * before.error)
 
 
 def tell_other(bench: Bench, i: int, now: Standing) -> DataNote:
@@ -213,7 +215,7 @@ def _read_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
             "record the run again"
         )
         note = _note(bench, i, "temperature", "saturated", text, rows)
-        yield Explanation((note,), courses, fitted=True)
+        yield Explanation((note,), courses, fitted=True, seen=True)
 
 
 def _mark(
@@ -387,31 +389,14 @@ def _leave_out(bench: Bench, i: int, k: int) -> Iterator[Explanation]:
                 "and record the run again"
             )
             note = _note(bench, i, name, "saturated", text, rows)
-            yield Explanation((note,), courses, fitted=True)
+            yield Explanation((note,), courses, fitted=True, seen=True)
     wild = _mark(bench, i, lambda r: _find_wild(r, k), SPIKES)
     if wild is not None:
-        courses, rows, count = wild
-        note = _note(bench, i, name, *_tell_wild(bench.courses[i], k, count), rows)
-        yield Explanation((note,), courses, fitted=True)
-
-
-def _tell_wild(courses: Sequence[Course], k: int, count: int) -> tuple[str, str]:
-    """Return kind and text for rows far off: of one value they are no reading at all."""
-    wild = np.concatenate([c.run.measured[_find_wild(c.run, k), k] for c in courses])
-    values, counts = np.unique(wild, return_counts=True)
-    most = int(counts.max())
-    if most >= max(RECURS, 0.5 * count):
-        value = float(values[counts.argmax()])
-        return "sentinel", (
-            f"holds {value:.6g} in {most} of {count} rows that are far off from the rows before "
-            "and behind; without them the run agrees with the others: the recorder had no reading "
-            f"there. State it: [logs] missing = [{value:.6g}]"
-        )
-    return "spikes", (
-        f"{count} rows are far off from the rows before and behind, with no cause in the logs; "
-        "without them the run agrees with the others: spikes of the recorder. Leave them out "
-        "([logs] missing, or the rows), or record the run again"
-    )
+        courses, rows, _ = wild
+        runs = [course.run for course in bench.courses[i]]
+        values = np.concatenate([run.measured[_find_wild(run, k), k] for run in runs])
+        note = _note(bench, i, name, *tell_wild(values, sum(map(len, runs))), rows)
+        yield Explanation((note,), courses, fitted=True, seen=True)
 
 
 def _find_wild(run: Run, k: int) -> Mask:

@@ -156,7 +156,7 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         usual = float(np.median(np.abs(np.diff(run.temperature_degC))))
         rows = _list_peaks(run.temperature_degC, max(HEIGHT_K, STEPS * usual))
         if rows.size >= FEWEST_SPIKES:
-            notes.append(_tell_spikes(run, "temperature", rows))
+            notes.append(_tell_spikes(run, "temperature", rows, run.temperature_degC))
     for k, name in enumerate(outputs):
         found = [_list_drift_peaks(run.drift[:, k]) for run in runs]
         shares = [rows.size / len(run) for rows, run in zip(found, runs, strict=True)]
@@ -164,7 +164,7 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             others = [shares[j] for j, r in enumerate(runs) if r.group != run.group]
             usual = float(np.median(others)) if others else 0.0
             if shares[i] > max(WILD, TIMES * usual):
-                notes.append(_tell_spikes(run, name, found[i]))
+                notes.append(_tell_spikes(run, name, found[i], run.measured[:, k]))
     return notes
 
 
@@ -182,13 +182,27 @@ def _list_peaks(x: Array, least: float) -> NDArray[np.intp]:
     return np.flatnonzero((up * down > 0.0) & (height > max(least, 1e-300))) + 1
 
 
-def _tell_spikes(run: Run, name: str, rows: NDArray[np.intp]) -> DataNote:
-    return DataNote(
-        run.group,
-        name,
-        (int(rows[0]), int(rows[-1])),
-        "spikes",
-        f"{rows.size} of {len(run)} rows are far off from the rows before and behind, with no "
+def _tell_spikes(run: Run, name: str, rows: NDArray[np.intp], values: Array) -> DataNote:
+    kind, text = tell_wild(values[rows], len(run))
+    return DataNote(run.group, name, (int(rows[0]), int(rows[-1])), kind, text)
+
+
+def tell_wild(values: Array, rows: int) -> tuple[str, str]:
+    """Return kind and text for the values of single rows far off: of one value they are none.
+
+    Args:
+        values: [m] what the column reads there.
+        rows: of the whole run.
+    """
+    kinds, counts = np.unique(values, return_counts=True)
+    most, value = int(counts.max()), float(kinds[counts.argmax()])
+    if most >= max(RECURS, 0.5 * values.size):
+        return "sentinel", (
+            f"holds {value:.6g} in {most} of {rows} rows, far off from the rows before and behind: "
+            f"the recorder had no reading there. State it: [logs] missing = [{value:.6g}]"
+        )
+    return "spikes", (
+        f"{values.size} of {rows} rows are far off from the rows before and behind, with no "
         "cause in the logs: spikes of the recorder. Leave them out ([logs] missing, or the rows), "
-        "or record the run again",
+        "or record the run again"
     )
