@@ -170,7 +170,10 @@ def _hold_together(
         told += own
     accused = {note.run for note in told if note.stops}
     rest = frozenset(i for i, group in enumerate(groups) if group not in accused)
-    most = max(1, len(groups) // 3) - len(accused.intersection(groups))
+    units = find_units(bench, rest)
+    told += units
+    rest -= {groups.index(note.run) for note in units}
+    most = max(1, len(groups) // 3) - (len(groups) - len(rest))
     while most > 0:
         worst = bench.find_worst(rest)
         if worst is None:
@@ -178,7 +181,7 @@ def _hold_together(
         told += explain(bench, worst, rest)
         rest -= {worst}
         most -= 1
-    return told + find_units(bench, rest)
+    return told
 
 
 def _list_groups(runs: Sequence[Run]) -> tuple[str, ...]:

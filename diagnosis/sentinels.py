@@ -26,6 +26,8 @@ from each other, ..."""
 ORDINARY, MOST_EDGES = 0.995, 0.9
 """... but for the few steps of a load, and of the few places where the column was near the value
 anyway."""
+APART = 0.5
+"""Share of all others' range that a value met in one stand alone lies away from them."""
 ALONE = 0.5
 """Share of a jump that a load beside it does not make too."""
 OFTENER = 5.0
@@ -126,7 +128,10 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
     ordinary = max(float(np.quantile(usual, ORDINARY)), float(np.median(usual[usual > 0.0])))
     value = float(x[rows][0])
     apart = float(np.abs(x[kept] - value).min())
-    among = float(x[kept].min()) < value < float(x[kept].max())
+    low, high = float(x[kept].min()), float(x[kept].max())
+    if np.count_nonzero(np.diff(np.flatnonzero(rows)) > 1) == 0 and apart < APART * (high - low):
+        return False  # one stand near all other values: it stopped there, or rests
+    among = low < value < high
     return bool(
         np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > FAR * ordinary
         and (among or apart > FAR * ordinary)

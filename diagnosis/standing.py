@@ -99,11 +99,26 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             x = columns[[run is stand.run for run in runs].index(True)]
             jumps = thermometer and _ends_in_jump(stand, x)
             at_limit = stand.value in (x.max(), x.min()) and not jumps
+            if at_limit and not _is_passed(stand, runs, columns):
+                continue
             told += not at_limit
             if told > max(1, round(FEW_RUNS * len(runs))):
                 break
             notes.append(_tell_stand(stand, name, thermometer, at_limit, usual))
     return list({(note.run, note.column): note for note in reversed(notes)}.values())
+
+
+def _is_passed(stand: _Stand, runs: Sequence[Run], columns: Sequence[Array]) -> bool:
+    """Return whether other runs pass a limit; where none does it may be the sensor's own."""
+    own = columns[[run is stand.run for run in runs].index(True)]
+    others = [x for run, x in zip(runs, columns, strict=True) if run.group != stand.run.group]
+    margin = BEYOND_RAIL * float(np.ptp(own))
+    high = stand.value == own.max()
+    beyond = [
+        bool(x.max() > stand.value + margin if high else x.min() < stand.value - margin)
+        for x in others
+    ]
+    return not others or sum(beyond) >= min(2, len(others))
 
 
 def _ends_in_jump(stand: _Stand, x: Array) -> bool:
