@@ -8,6 +8,7 @@ makes the run agree, it follows another law.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,9 +172,7 @@ def _read_units(bench: Bench, i: int) -> Iterator[Explanation]:
         )
         yield Explanation(
             (_note(bench, i, "temperature", kind, text),),
-            _change(
-                bench, i, lambda r, f=convert: replace(r, temperature_degC=f(r.temperature_degC))
-            ),
+            _change(bench, i, partial(_convert, convert)),
         )
 
 
@@ -205,7 +204,7 @@ def _read_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
         yield exchange(name, with_input)
     for ends, words in ((np.max, "highest"), (np.min, "lowest")):
         value = float(ends([ends(c.run.temperature_degC) for c in bench.courses[i]]))
-        standing = _mark(bench, i, lambda r, v=value: r.temperature_degC == v)
+        standing = _mark(bench, i, partial(_stand_thermometer, value))
         if standing is None:
             continue
         courses, rows, count = standing
@@ -257,6 +256,18 @@ def _exchange_outputs(bench: Bench, i: int, wrong: Sequence[int]) -> Iterator[Ex
                     _note(bench, i, f"{prefix}{name}", "swapped", text) for name in (one, two)
                 )
                 yield Explanation(notes, _change(bench, i, change))
+
+
+def _convert(change: Callable[[Array], Array], run: Run) -> Run:
+    return _warm(run, change(run.temperature_degC))
+
+
+def _stand_thermometer(value: float, run: Run) -> Mask:
+    return np.asarray(run.temperature_degC == value)
+
+
+def _stand_output(value: float, k: int, run: Run) -> Mask:
+    return np.asarray(run.measured[:, k] == value)
 
 
 def _warm(run: Run, temperature_degC: Array) -> Run:
@@ -380,7 +391,7 @@ def _leave_out(bench: Bench, i: int, k: int) -> Iterator[Explanation]:
     name = bench.outputs[k]
     for end in (np.max, np.min):
         value = float(end([end(course.run.measured[:, k]) for course in bench.courses[i]]))
-        standing = _mark(bench, i, lambda r, v=value: r.measured[:, k] == v)
+        standing = _mark(bench, i, partial(_stand_output, value, k))
         if standing is not None:
             courses, rows, count = standing
             text = (
