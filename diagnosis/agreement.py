@@ -43,7 +43,7 @@ FEWEST_BLOCKS = 8
 
 
 @dataclass(frozen=True)
-class Course:
+class RunReading:
     """A stretch of a run as it is read now."""
 
     run: Run
@@ -61,10 +61,10 @@ class Course:
         return self.run.drift if wild > MANY_WILD else self.run.steady_drift
 
 
-def _read(run: Run, names: Sequence[str]) -> Course:
+def _read(run: Run, names: Sequence[str]) -> RunReading:
     """Return a stretch as it was logged, with some of its inputs."""
     inputs = {name: run.inputs[name] for name in names}
-    return Course(replace(run, inputs=inputs), np.ones(len(run), dtype=np.bool_))
+    return RunReading(replace(run, inputs=inputs), np.ones(len(run), dtype=np.bool_))
 
 
 def _average(x: Array, kept: NDArray[np.bool_], blocks: int) -> Array:
@@ -75,7 +75,7 @@ def _average(x: Array, kept: NDArray[np.bool_], blocks: int) -> Array:
     return np.asarray(total[some] / counts[some][:, None])
 
 
-def _build(course: Course, scales: Array, blocks: int) -> tuple[Array, Array]:
+def _build(course: RunReading, scales: Array, blocks: int) -> tuple[Array, Array]:
     """Return basis [b, J] and drift [b, K] of a stretch, with a column for a later zero, if any."""
     run = course.run
     load = run.reference / scales
@@ -98,7 +98,7 @@ def _build(course: Course, scales: Array, blocks: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Blocks:
+class RunSums:
     """A run's block averages, their means taken off, and the sums of their products."""
 
     design: Array
@@ -117,7 +117,7 @@ class Blocks:
 
 
 @dataclass(frozen=True)
-class Standing:
+class RunAgreement:
     """How one run stands to the others, per output."""
 
     harm: Array
@@ -158,7 +158,7 @@ class Bench:
         self.blocks = [self._sum(*table) for table in tables]
         self._pairs: dict[tuple[int, frozenset[int]], Array] = {}
 
-    def _stack(self, courses: Sequence[Course]) -> tuple[Array, Array]:
+    def _stack(self, courses: Sequence[RunReading]) -> tuple[Array, Array]:
         """Return basis [b, J] and drift [b, K] of a run's stretches, which share one zero."""
         rows = sum(len(course.run) for course in courses)
         tables = [
@@ -175,12 +175,12 @@ class Bench:
             design = design - later * (later.T @ design) / power
         return design, drift
 
-    def _sum(self, design: Array, drift: Array) -> Blocks:
+    def _sum(self, design: Array, drift: Array) -> RunSums:
         design = design / self.sizes
         count = len(design)
-        return Blocks(design, drift, design.T @ design / count, design.T @ drift / count)
+        return RunSums(design, drift, design.T @ design / count, design.T @ drift / count)
 
-    def fit(self, members: Sequence[Blocks], level: int = -1) -> Array:
+    def fit(self, members: Sequence[RunSums], level: int = -1) -> Array:
         """Return the factors [J, K] of a basis that fit some runs, each of which counts as one."""
         count = self.levels[level]
         normal = np.mean([m.normal[:count, :count] for m in members], axis=0)
@@ -204,8 +204,8 @@ class Bench:
         return self._pairs[i, rest]
 
     def assess(
-        self, i: int, rest: frozenset[int], courses: Sequence[Course] | None = None
-    ) -> Standing | None:
+        self, i: int, rest: frozenset[int], courses: Sequence[RunReading] | None = None
+    ) -> RunAgreement | None:
         """Return how a run stands to the others; None where it is read so that little is left.
 
         Args:
@@ -232,10 +232,10 @@ class Bench:
         )
         # The median: what is left of another wrong run says nothing of this one.
         harm = np.quantile(with_it / without[:, -1], 0.5, axis=0, method="lower")
-        return Standing(harm, left / without.max(axis=0))
+        return RunAgreement(harm, left / without.max(axis=0))
 
     def expect(
-        self, i: int, rest: frozenset[int], courses: Sequence[Course]
+        self, i: int, rest: frozenset[int], courses: Sequence[RunReading]
     ) -> tuple[Array, Array]:
         """Return [b, K] what a fit of the others expects of a run's drift, and what it is."""
         own = self._sum(*self._stack(courses))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
-from zerodrift.diagnosis.agreement import FEWEST_RUNS, Bench, Course, Standing
+from zerodrift.diagnosis.agreement import FEWEST_RUNS, Bench, RunAgreement, RunReading
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.misfits import WRONG_GAIN, tell_gain
 from zerodrift.diagnosis.sentinels import tell_wild
@@ -50,7 +50,7 @@ class Explanation:
     """One way to read a run."""
 
     notes: tuple[DataNote, ...]
-    courses: tuple[Course, ...]
+    courses: tuple[RunReading, ...]
     fitted: bool = False
     """Whether a number or rows were chosen by the run itself, ..."""
     seen: bool = False
@@ -97,7 +97,7 @@ def find_units(bench: Bench, rest: frozenset[int]) -> list[DataNote]:
     return notes
 
 
-def weigh(bench: Bench, i: int, rest: frozenset[int], now: Standing) -> Explanation | None:
+def weigh(bench: Bench, i: int, rest: frozenset[int], now: RunAgreement) -> Explanation | None:
     """Return the explanation that leaves least of a run; None where none makes it agree."""
     best: Explanation | None = None
     least = (True, np.inf)
@@ -117,7 +117,7 @@ def weigh(bench: Bench, i: int, rest: frozenset[int], now: Standing) -> Explanat
     return best
 
 
-def tell_other(bench: Bench, i: int, now: Standing) -> DataNote:
+def tell_other(bench: Bench, i: int, now: RunAgreement) -> DataNote:
     """Return the note on a run that nothing explains."""
     worst = int(now.doubt.argmax())
     times, harm = float(now.misfit[-1, worst]), float(now.harm[worst])
@@ -144,7 +144,9 @@ def _note(
     return DataNote(bench.groups[i], column, rows or (0, last), kind, text)
 
 
-def _list_all(bench: Bench, i: int, rest: frozenset[int], now: Standing) -> Iterator[Explanation]:
+def _list_all(
+    bench: Bench, i: int, rest: frozenset[int], now: RunAgreement
+) -> Iterator[Explanation]:
     wrong = [k for k in range(len(bench.outputs)) if now.doubt[k] >= 0.5]
     yield from _read_thermometer(bench, i)
     yield from _exchange_outputs(bench, i, wrong)
@@ -155,7 +157,7 @@ def _list_all(bench: Bench, i: int, rest: frozenset[int], now: Standing) -> Iter
         yield from _leave_out(bench, i, k)
 
 
-def _change(bench: Bench, i: int, change: Callable[[Run], Run]) -> tuple[Course, ...]:
+def _change(bench: Bench, i: int, change: Callable[[Run], Run]) -> tuple[RunReading, ...]:
     return tuple(replace(course, run=change(course.run)) for course in bench.courses[i])
 
 
@@ -219,7 +221,7 @@ def _read_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
 
 def _mark(
     bench: Bench, i: int, find: Callable[[Run], Mask], least: float = STANDS
-) -> tuple[tuple[Course, ...], tuple[int, int], int] | None:
+) -> tuple[tuple[RunReading, ...], tuple[int, int], int] | None:
     """Return a run without some rows, the first and last of them, and how many; None if few."""
     marks = [find(course.run) for course in bench.courses[i]]
     every = np.flatnonzero(np.concatenate(marks))
@@ -346,10 +348,10 @@ def _shift(bench: Bench, i: int, k: int) -> Iterator[Explanation]:
     if not rows:
         return
 
-    def move(course: Course) -> Course:
+    def move(course: RunReading) -> RunReading:
         place = np.clip(np.arange(len(course.run)) + rows, 0, len(course.run) - 1)
         moved = _set(course.run, k, reference=course.run.reference[place, k])
-        return Course(moved, place == np.arange(len(course.run)) + rows)
+        return RunReading(moved, place == np.arange(len(course.run)) + rows)
 
     seconds = rows * longest.run.sample_period_s
     text = (
