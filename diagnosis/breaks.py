@@ -33,7 +33,8 @@ PLAIN = 20.0
 FOLLOWS = 0.5
 """Share of the squares that a load leaves of an output's steps where these are the load's."""
 STANDS = 30
-"""Rows of one value up to a break: the thermometer stopped, and then went on."""
+"""Rows of one value up to a break, more than in any other run: the thermometer stopped, and then
+went on."""
 ALIKE = 0.3
 """... and by the same factor as its values, to this share."""
 LAST_DIGITS = 1e-9
@@ -59,7 +60,10 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         elsewhere = max((s for j, s in enumerate(largest) if j != i), default=0.0)
         found = find_break(run.temperature_degC, elsewhere)
         if found is not None:
-            notes.append(_tell_break(run, found))
+            rests = [
+                _measure_rest(other.temperature_degC) for j, other in enumerate(runs) if j != i
+            ]
+            notes.append(_tell_break(run, found, max(rests, default=0)))
         for k, name in enumerate(outputs):
             factor, row = find_gain_change(run.measured[:, k])
             if row and not _follows_load(run, k, row):
@@ -75,6 +79,12 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
                     )
                 )
     return notes
+
+
+def find_unit_changes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on thermometers alone whose unit changes within a run."""
+    found = find_breaks(runs, outputs)
+    return [n for n in found if n.column == "temperature" and n.kind == "unit_change"]
 
 
 def _follows_load(run: Run, k: int, row: int) -> bool:
@@ -125,20 +135,15 @@ def _reach(x: Array, at: int) -> float:
     return float(np.polyval(np.polyfit(np.arange(x.size), x, 1), at))
 
 
-def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
+def _measure_rest(x: Array) -> int:
+    """Return the most rows for which a column repeats one value."""
+    edges = np.flatnonzero(np.diff(x) != 0.0)
+    return int(np.diff(np.concatenate([[-1], edges, [x.size - 1]])).max(initial=0))
+
+
+def _tell_break(run: Run, found: ColumnBreak, rest: int) -> DataNote:
     size = found.after - found.before
     rows = (found.row, len(run) - 1)
-    stand = _measure_stand(run.temperature_degC, found.row)
-    if stand >= STANDS:
-        return DataNote(
-            run.group,
-            "temperature",
-            (found.row - stand, found.row - 1),
-            "frozen",
-            f"the thermometer repeats one value {stand} times and then jumps from "
-            f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
-            "rows out ([logs] train takes file@from:to), or record the run again",
-        )
     for words, value in (
         ("degC before it and degF behind", 1.8 * found.before + 32.0),
         ("degF before it and degC behind", (found.before - 32.0) / 1.8),
@@ -155,6 +160,17 @@ def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
                 f"{words}: the unit changes within the run. Convert one part, or cut the run there "
                 "(file@from:to)",
             )
+    stand = _measure_stand(run.temperature_degC, found.row)
+    if stand >= STANDS and stand > rest:
+        return DataNote(
+            run.group,
+            "temperature",
+            (found.row - stand, found.row - 1),
+            "frozen",
+            f"the thermometer repeats one value {stand} times and then jumps from "
+            f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
+            "rows out ([logs] train takes file@from:to), or record the run again",
+        )
     return DataNote(
         run.group,
         "temperature",

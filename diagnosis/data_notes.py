@@ -33,7 +33,8 @@ KINDS: Mapping[str, WrongKind] = {
     "swapped": WrongKind("two columns of a run are exchanged", "exchange them in the log"),
     "foreign_column": WrongKind("an output reads what another one reads", "name the right column"),
     "another_sensor": WrongKind(
-        "a run follows another law than the others", "find out where it comes from; leave it out"
+        "a run does not agree with the others, whatever is tried",
+        "find out where it comes from; leave it out",
     ),
     "time_unit": WrongKind("a run's time is in another unit", "state the unit of the time column"),
     "stitched": WrongKind("rows are missing within a run whose time goes on", "cut the run there"),

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.agreement import FEWEST_ROWS, FEWEST_RUNS
 from zerodrift.diagnosis.data_notes import DataNote
-from zerodrift.diagnosis.misfits import FEWEST_ROWS, FEWEST_RUNS, tell_gain
+from zerodrift.diagnosis.misfits import tell_gain
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,6 @@ same way is left to the diagnosis.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,13 @@ from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.diagnosis.breaks import find_breaks
+from zerodrift.diagnosis.agreement import FEWEST_ROWS, FEWEST_RUNS, Bench
+from zerodrift.diagnosis.breaks import find_breaks, find_unit_changes
 from zerodrift.diagnosis.data_notes import DataNote, name_columns
+from zerodrift.diagnosis.explanations import explain, find_units, tell_other, weigh
 from zerodrift.diagnosis.leaks import find_leaks
 from zerodrift.diagnosis.misfits import (
-    FEWEST_ROWS,
-    FEWEST_RUNS,
-    Bench,
+    find_copies,
     find_load_columns,
     find_load_gains,
     find_time_units,
@@ -28,15 +27,16 @@ from zerodrift.diagnosis.misfits import (
 from zerodrift.diagnosis.noise_gains import find_noise_gains
 from zerodrift.diagnosis.references import find_reference_faults
 from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
-from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing
+from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing, find_wraps
 
-STANDS = ("saturated", "stuck")
+SEEN = ("saturated", "stuck", "foreign_column")
+"""What is seen in the column itself: it gives way to an exchange of columns alone."""
 OF_A_COLUMN = (
-    *("gain", "sign", "offset_jump", "wrapped", "foreign_column", "late_reference"),
-    *STANDS,
+    *("gain", "sign", "offset_jump", "wrapped", "late_reference", "unit_change"),
+    *SEEN,
 )
-"""What one column shows where it is the run that is wrong: a thermometer in an output's column, or
-another sensor's log."""
+"""What one column shows where it may be the run that is wrong: a thermometer in an output's column,
+or another sensor's log."""
 OF_REFERENCE = "reference of "
 Array = NDArray[np.float64]
 
@@ -110,77 +110,119 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
             which one is wrong.
     """
     outputs = dataset.outputs
-    notes: list[DataNote] = []
     runs = (*dataset.train, *dataset.test)
+    notes = _look_at_columns(runs, outputs)
+    notes += find_leaks(dataset.train, dataset.test, outputs)
+    told = {(note.run, note.column) for note in notes}
+    notes += [n for n in find_noise_gains(runs, outputs) if (n.run, n.column) not in told]
+    notes += find_time_units(runs)
+    notes = _hold_together(notes, runs, dataset)
+    told = {(note.run, note.column) for note in notes}
+    notes += [n for n in find_spikes(runs, outputs) if (n.run, n.column) not in told]
+    notes += _look_at_dwell(dataset)
+    notes += _look_at_test(dataset, {note.run for note in notes})
+    return tuple(notes)
+
+
+def _look_at_columns(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return what single columns show; of a column what is told first."""
+    notes: list[DataNote] = []
     checks = (
-        *(find_sentinels, find_standing, find_cut_off, find_breaks, find_load_columns),
-        *(find_reference_faults, find_load_gains, find_leaps),
+        *(find_copies, find_unit_changes, find_sentinels, find_standing, find_cut_off, find_breaks),
+        *(find_wraps, find_load_columns, find_reference_faults, find_load_gains, find_leaps),
     )
     for check in checks:
         told = {(note.run, note.column.removeprefix(OF_REFERENCE)) for note in notes}
         found = check(runs, outputs)
         notes += [n for n in found if (n.run, n.column.removeprefix(OF_REFERENCE)) not in told]
-    notes += find_leaks(dataset.train, dataset.test, outputs)
-    told = {(note.run, note.column) for note in notes}
-    notes += [n for n in find_noise_gains(runs, outputs) if (n.run, n.column) not in told]
-    whole = [run for run in runs if run.part == 0 and len(run) >= FEWEST_ROWS]
-    if any(note.kind == "gain" for note in notes) and len(whole) >= FEWEST_RUNS:
-        # A drift that goes with the load looks like a gain, unless the other runs have it too.
-        bench = Bench(whole, outputs, np.array(dataset.full_scale))
-        notes = [
-            note
-            for note in notes
-            if note.kind != "gain"
-            or note.column not in outputs
-            or not bench.agrees(note.run, note.column)
-        ]
-    notes = _look_again(notes, whole, outputs, np.array(dataset.full_scale))
-    notes += find_time_units(runs)
-    spoilt = {note.run for note in notes}
-    sound = [run for run in whole if run.group not in spoilt]
-    if len(sound) >= FEWEST_RUNS and outputs:
-        notes += Bench(sound, outputs, np.array(dataset.full_scale)).review()
-    told = {(note.run, note.column) for note in notes}
-    notes += [n for n in find_spikes(runs, outputs) if (n.run, n.column) not in told]
-    notes += _look_at_test(dataset, {note.run for note in notes})
-    return tuple(notes)
+    return notes
 
 
-def _look_again(
-    notes: Sequence[DataNote], whole: Sequence[Run], outputs: Sequence[str], scales: Array
+def _hold_together(
+    notes: Sequence[DataNote], runs: Sequence[Run], dataset: Dataset
 ) -> list[DataNote]:
-    """Return the notes; all of a run's are one where the run as a whole tells more."""
-    accused = {note.run for note in notes}
-    sound = [run for run in whole if run.group not in accused]
-    told: list[DataNote] = []
-    for group in dict.fromkeys(note.run for note in notes):
-        own = [note for note in notes if note.run == group]
-        runs = [run for run in whole if run.group == group]
-        if runs and len(sound) >= FEWEST_RUNS - 1 and all(n.kind in OF_A_COLUMN for n in own):
-            columns = [note.column.removeprefix(OF_REFERENCE) for note in own]
-            is_seen = any(note.kind in STANDS for note in own)
-            bench = Bench([*sound, runs[0]], outputs, scales)
-            found = bench.look_again(None if is_seen else columns)
-            own = found or [_name_reference(note, bench) for note in own]
+    """Return the notes, with those on runs that do not agree with the others.
+
+    What was told of a run's columns gives way where another reading of the run explains more.
+    """
+    rows = {group: sum(len(r) for r in runs if r.group == group) for group in _list_groups(runs)}
+    whole = [run for run in runs if rows[run.group] >= FEWEST_ROWS]
+    groups = _list_groups(whole)
+    if len(groups) < FEWEST_RUNS or not dataset.outputs:
+        return list(notes)
+    bench = Bench(whole, dataset.outputs, np.array(dataset.full_scale))
+    accused = {note.run for note in notes if note.stops}
+    sound = frozenset(i for i, group in enumerate(groups) if group not in accused)
+    # A drift that goes with the load looks like a gain, unless the other runs have it too.
+    kept = [
+        note
+        for note in notes
+        if note.kind != "gain"
+        or note.column not in dataset.outputs
+        or note.run not in groups
+        or not bench.agrees(note.run, note.column, sound)
+    ]
+    told: list[DataNote] = [note for note in kept if note.run not in groups]
+    for i, group in enumerate(groups):
+        own = [note for note in kept if note.run == group]
+        if own and all(_may_be_more(note) for note in own):
+            own = _look_again(own, bench, i, sound | {i})
         told += own
+    accused = {note.run for note in told if note.stops}
+    rest = frozenset(i for i, group in enumerate(groups) if group not in accused)
+    units = find_units(bench, rest)
+    told += units
+    rest -= {groups.index(note.run) for note in units}
+    most = max(1, len(groups) // 3) - (len(groups) - len(rest))
+    while most > 0:
+        worst = bench.find_worst(rest)
+        if worst is None:
+            break
+        told += explain(bench, worst, rest)
+        rest -= {worst}
+        most -= 1
     return told
 
 
-def _name_reference(note: DataNote, bench: Bench) -> DataNote:
-    """Return a note on a wrong sign; of the reference, where that is what is reversed."""
-    if note.kind != "sign" or note.column not in bench.outputs:
-        return note
-    if not np.ptp(bench.courses[-1].reference[:, bench.outputs.index(note.column)]):
-        return note
-    if not bench.is_reference_reversed(note.column):
-        return note
-    return replace(
-        note,
-        column=f"{OF_REFERENCE}{note.column}",
-        kind="reversed_reference",
-        text="has the opposite sign in this run: reversed, the drift agrees with that of the other "
-        "runs. Reverse it in the log",
-    )
+def _list_groups(runs: Sequence[Run]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(run.group for run in runs))
+
+
+def _may_be_more(note: DataNote) -> bool:
+    """Return whether what was told of a column may be what another fault of the run looks like."""
+    return note.kind in OF_A_COLUMN and (note.kind, note.column) != ("unit_change", "temperature")
+
+
+def _look_again(own: list[DataNote], bench: Bench, i: int, rest: frozenset[int]) -> list[DataNote]:
+    """Return what was told of a run's columns, or what explains more of it."""
+    now = bench.assess(i, rest) if len(rest) >= FEWEST_RUNS else None
+    if now is None or now.doubt.max() < 1.0:
+        return own
+    found = weigh(bench, i, rest, now)
+    is_seen = any(note.kind in SEEN for note in own)
+    if found is not None:
+        whole = found.notes[0].column == "temperature" or found.notes[0].kind == "swapped"
+        return own if is_seen and not whole else list(found.notes)
+    columns = {note.column.removeprefix(OF_REFERENCE) for note in own}
+    far = [name for name, doubt in zip(bench.outputs, now.doubt, strict=True) if doubt >= 1.0]
+    if is_seen or 2 * len(far) <= len(bench.outputs) or columns.issuperset(far):
+        return own
+    return [tell_other(bench, i, now)]
+
+
+def _look_at_dwell(dataset: Dataset) -> list[DataNote]:
+    """Return what the columns of the dwell show, which sets the noise floor.
+
+    That its thermometer stands still is what a dwell is for.
+    """
+    notes = []
+    for check in (find_sentinels, find_standing, find_breaks, find_spikes):
+        notes += [
+            note
+            for note in check(dataset.dwell, dataset.outputs)
+            if note.column != "temperature" or note.kind not in ("constant", "frozen", "saturated")
+        ]
+    return list({(note.run, note.column): note for note in reversed(notes)}.values())
 
 
 def _look_at_test(dataset: Dataset, spoilt: set[str]) -> list[DataNote]:

@@ -26,6 +26,8 @@ from each other, ..."""
 ORDINARY, MOST_EDGES = 0.995, 0.9
 """... but for the few steps of a load, and of the few places where the column was near the value
 anyway."""
+APART = 0.5
+"""Share of all others' range that a value met in one stand alone lies away from them."""
 ALONE = 0.5
 """Share of a jump that a load beside it does not make too."""
 OFTENER = 5.0
@@ -122,10 +124,14 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
     if float(np.median(apart_from / np.maximum(across, 1e-300))) < ALONE:
         return False
     jumps = np.minimum(across, apart_from)
-    ordinary = float(np.quantile(usual, ORDINARY))
+    # A column that rests most of the time still moves by its usual step.
+    ordinary = max(float(np.quantile(usual, ORDINARY)), float(np.median(usual[usual > 0.0])))
     value = float(x[rows][0])
     apart = float(np.abs(x[kept] - value).min())
-    among = float(x[kept].min()) < value < float(x[kept].max())
+    low, high = float(x[kept].min()), float(x[kept].max())
+    if np.count_nonzero(np.diff(np.flatnonzero(rows)) > 1) == 0 and apart < APART * (high - low):
+        return False  # one stand near all other values: it stopped there, or rests
+    among = low < value < high
     return bool(
         np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > FAR * ordinary
         and (among or apart > FAR * ordinary)
@@ -155,7 +161,7 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         usual = float(np.median(np.abs(np.diff(run.temperature_degC))))
         rows = _list_peaks(run.temperature_degC, max(HEIGHT_K, STEPS * usual))
         if rows.size >= FEWEST_SPIKES:
-            notes.append(_tell_spikes(run, "temperature", rows))
+            notes.append(_tell_spikes(run, "temperature", rows, run.temperature_degC))
     for k, name in enumerate(outputs):
         found = [_list_drift_peaks(run.drift[:, k]) for run in runs]
         shares = [rows.size / len(run) for rows, run in zip(found, runs, strict=True)]
@@ -163,7 +169,7 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             others = [shares[j] for j, r in enumerate(runs) if r.group != run.group]
             usual = float(np.median(others)) if others else 0.0
             if shares[i] > max(WILD, TIMES * usual):
-                notes.append(_tell_spikes(run, name, found[i]))
+                notes.append(_tell_spikes(run, name, found[i], run.measured[:, k]))
     return notes
 
 
@@ -181,13 +187,27 @@ def _list_peaks(x: Array, least: float) -> NDArray[np.intp]:
     return np.flatnonzero((up * down > 0.0) & (height > max(least, 1e-300))) + 1
 
 
-def _tell_spikes(run: Run, name: str, rows: NDArray[np.intp]) -> DataNote:
-    return DataNote(
-        run.group,
-        name,
-        (int(rows[0]), int(rows[-1])),
-        "spikes",
-        f"{rows.size} of {len(run)} rows are far off from the rows before and behind, with no "
+def _tell_spikes(run: Run, name: str, rows: NDArray[np.intp], values: Array) -> DataNote:
+    kind, text = tell_wild(values[rows], len(run))
+    return DataNote(run.group, name, (int(rows[0]), int(rows[-1])), kind, text)
+
+
+def tell_wild(values: Array, rows: int) -> tuple[str, str]:
+    """Return kind and text for the values of single rows far off: of one value they are none.
+
+    Args:
+        values: [m] what the column reads there.
+        rows: of the whole run.
+    """
+    kinds, counts = np.unique(values, return_counts=True)
+    most, value = int(counts.max()), float(kinds[counts.argmax()])
+    if most >= max(RECURS, 0.5 * values.size):
+        return "sentinel", (
+            f"holds {value:.6g} in {most} of {rows} rows, far off from the rows before and behind: "
+            f"the recorder had no reading there. State it: [logs] missing = [{value:.6g}]"
+        )
+    return "spikes", (
+        f"{values.size} of {rows} rows are far off from the rows before and behind, with no "
         "cause in the logs: spikes of the recorder. Leave them out ([logs] missing, or the rows), "
-        "or record the run again",
+        "or record the run again"
     )

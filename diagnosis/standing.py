@@ -87,7 +87,11 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
         told = 0
         for stand in stands:
             # Stands of one run at one value are one fault.
-            others = [s for s in stands if s.run is not stand.run or s.value != stand.value]
+            others = [
+                s
+                for s in stands
+                if s.run.group != stand.run.group or (s.run is stand.run and s.value != stand.value)
+            ]
             usual = max((s.length for s in others), default=1)
             least = max(FEWEST_STANDING, SHARE_STANDING * len(stand.run))
             if stand.length < max(least, LONGER * usual):
@@ -95,11 +99,26 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             x = columns[[run is stand.run for run in runs].index(True)]
             jumps = thermometer and _ends_in_jump(stand, x)
             at_limit = stand.value in (x.max(), x.min()) and not jumps
+            if at_limit and not _is_passed(stand, runs, columns):
+                continue
             told += not at_limit
             if told > max(1, round(FEW_RUNS * len(runs))):
                 break
             notes.append(_tell_stand(stand, name, thermometer, at_limit, usual))
     return list({(note.run, note.column): note for note in reversed(notes)}.values())
+
+
+def _is_passed(stand: _Stand, runs: Sequence[Run], columns: Sequence[Array]) -> bool:
+    """Return whether other runs pass a limit; where none does it may be the sensor's own."""
+    own = columns[[run is stand.run for run in runs].index(True)]
+    others = [x for run, x in zip(runs, columns, strict=True) if run.group != stand.run.group]
+    margin = BEYOND_RAIL * float(np.ptp(own))
+    high = stand.value == own.max()
+    beyond = [
+        bool(x.max() > stand.value + margin if high else x.min() < stand.value - margin)
+        for x in others
+    ]
+    return not others or sum(beyond) >= min(2, len(others))
 
 
 def _ends_in_jump(stand: _Stand, x: Array) -> bool:
@@ -151,9 +170,11 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             level = float(x[rows[0]])
             others = [other.measured[:, k] for other in runs if other.group != run.group]
             margin = BEYOND_RAIL * float(np.ptp(x))
-            passed = any(
+            beyond = [
                 (y.max() > level + margin) if high else (y.min() < level - margin) for y in others
-            )
+            ]
+            # One run alone that passes it may be the one that is wrong.
+            passed = sum(beyond) >= min(2, len(beyond)) > 0
             # A few samples on a short plateau of the load are alike by chance; an output that is
             # cut off stands still while its load moves, or for long.
             if rows[0] == 0 and rows[-1] == rows.size - 1:
@@ -175,16 +196,18 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     return notes
 
 
+def find_wraps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
+    """Return notes on counters that wrap."""
+    found = (_find_wrap(run, name, k) for k, name in enumerate(outputs) for run in runs)
+    return [note for note in found if note is not None]
+
+
 def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
-    """Return notes on jumps of the zero, and on counters that wrap, in few of the runs."""
+    """Return notes on jumps of the zero in few of the runs."""
     notes: list[DataNote] = []
     for k, name in enumerate(outputs):
         found = []
         for run in runs:
-            wrap = _find_wrap(run, name, k)
-            if wrap is not None:
-                notes.append(wrap)
-                continue
             leaps = list_leaps(run, k)
             if leaps:
                 found.append((run, leaps))

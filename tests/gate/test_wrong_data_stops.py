@@ -51,7 +51,7 @@ def call(folder, *arguments):
     return CliRunner().invoke(cli, [*arguments, "-C", str(folder)])
 
 
-@pytest.mark.parametrize("command", ["train", "firmware"])
+@pytest.mark.parametrize("command", ["train", "export", "firmware"])
 def test_wrong_sign_stops_it_and_nothing_is_written(tmp_path, command):
     result = call(write_project(tmp_path, spoil=np.negative), command, "--json")
     assert result.exit_code == 1
@@ -89,5 +89,7 @@ def test_force_marks_header_and_manifest(tmp_path):
     folder = write_project(tmp_path, spoil=np.negative)
     assert call(folder, "firmware", "--force", "--no-uncertainty").exit_code == 0
     header = (folder / "firmware" / "x.h").read_text()
-    assert "run train_3, column y: the column has the opposite sign" in header
+    said = " ".join(header.replace("*", " ").split())
+    assert "FORCED: written although zerodrift refused it. Do not ship. Why it was refused:" in said
+    assert "run train_3, column y: the column has the opposite sign" in said
     assert "opposite sign" in (folder / "firmware" / "manifest.json").read_text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.physics.conftest import SLOPE, follow, make_dataset
 
-from zerodrift.diagnosis.misfits import Bench
+from zerodrift.diagnosis.agreement import HARM, Bench
 from zerodrift.diagnosis.noise_gains import find_noise_gains
 from zerodrift.diagnosis.referee import review
 from zerodrift.diagnosis.standing import find_cut_off
@@ -160,22 +160,26 @@ def test_more_noise_alone_is_no_other_unit(clean):
     assert not find_noise_gains(spoil(clean, measured=louder).train, clean.outputs)
 
 
+def hold(dataset):
+    bench = Bench(dataset.train, dataset.outputs, np.array(dataset.full_scale))
+    return bench, frozenset(range(len(bench.groups)))
+
+
 @pytest.mark.parametrize(("every", "as_measured"), [(97, False), (11, True)])
 def test_what_is_wild_all_over_is_taken_as_it_was_measured(every, as_measured, clean):
     measured = clean.train[2].measured.copy()
     measured[5::every, 0] += 400.0
-    train = spoil(clean, measured=measured).train
-    course = Bench(train, clean.outputs, np.array(clean.full_scale)).courses[2]
-    assert np.array_equal(course.measured, measured) == as_measured
+    spoilt = spoil(clean, measured=measured)
+    course = hold(spoilt)[0].courses[2][0]
+    assert np.array_equal(course.drift, spoilt.train[2].drift) == as_measured
 
 
 def test_a_drift_that_goes_with_the_load_is_no_other_gain(clean):
     # In one run alone the load and the temperature move together.
-    bench = Bench(clean.train, clean.outputs, np.array(clean.full_scale))
-    assert bench.agrees("run_2", clean.outputs[0])
-    doubled = spoil(clean, measured=2.0 * clean.train[2].measured)
-    bench = Bench(doubled.train, clean.outputs, np.array(clean.full_scale))
-    assert not bench.agrees("run_2", clean.outputs[0])
+    bench, every = hold(clean)
+    assert bench.agrees("run_2", clean.outputs[0], every)
+    bench, every = hold(spoil(clean, measured=2.0 * clean.train[2].measured))
+    assert not bench.agrees("run_2", clean.outputs[0], every)
 
 
 def test_alike_samples_on_one_plateau_of_the_load_are_not_cut_off(clean):
@@ -198,12 +202,60 @@ def test_alike_samples_on_one_plateau_of_the_load_are_not_cut_off(clean):
     assert (note.run, note.column, note.kind) == (run.group, clean.outputs[0], "saturated")
 
 
-def test_rows_beyond_the_others_temperatures_are_not_judged(clean):
-    """There a drift that bends goes anywhere, and no other run says where."""
-    bench = Bench(clean.train, clean.outputs, np.array(clean.full_scale))
-    fit = bench.fit_without(frozenset({0}))
-    others = np.concatenate([course.temperature for course in bench.courses[1:]])
-    low, high = float(others.min()), float(others.max())
-    usual = np.zeros((5, fit.factors.shape[0]))  # as little leverage as a row can have
-    temperature = np.array([low - 1.0, low, 0.5 * (low + high), high, high + 1.0])
-    assert fit.find_inside(usual, temperature).tolist() == [False, True, True, True, False]
+def test_run_that_doubles_what_is_left_of_the_others_is_stopped_whatever_it_is(clean):
+    """No unit, sign or column explains it: it is another sensor's, or something unknown."""
+    run = clean.train[2]
+    assert hold(clean)[0].find_worst(hold(clean)[1]) is None
+    odd = 25.0 * np.sin(np.arange(len(run)) / 40.0)[:, None] * [1.0, 0.01]
+    spoilt = spoil(clean, measured=run.measured + odd)
+    bench, every = hold(spoilt)
+    assert bench.find_worst(every) == 2
+    assert bench.assess(2, every).harm.max() > HARM
+    (note,) = review(spoilt)
+    assert (note.run, note.kind) == ("run_2", "another_sensor")
+    assert "does not agree with the others" in note.text
+
+
+def test_run_of_a_kind_of_its_own_does_no_harm():
+    """A soak at a temperature where no other run has been, and a slow one, add to what is known."""
+    apart = make_dataset(drifting, runs=5, length=600)
+    run = apart.train[1]
+    soak = 80.0 + 0.002 * np.random.default_rng(7).normal(size=len(run))
+    slow = follow(soak, 90.0) - 25.0
+    drift = slow[:, None] * SLOPE + 0.5 * np.random.default_rng(8).normal(size=(len(run), 2)) * [
+        1.0,
+        0.01,
+    ]
+    train = list(apart.train)
+    train[1] = replace(run, temperature_degC=soak, measured=run.reference + drift)
+    assert review(replace(apart, train=tuple(train))) == ()
+
+
+def test_parts_of_a_run_are_held_together(clean):
+    """A gap makes two stretches of a run; what is wrong with it is told once."""
+    run = clean.train[2]
+    reversed_run = replace(run, measured=-run.measured)
+    first, last = reversed_run.take(slice(0, 280)), reversed_run.take(slice(320, 600))
+    parts = (first, replace(last, name="run_2#2", part=1))
+    train = (*clean.train[:2], *parts, *clean.train[3:])
+    found = review(replace(clean, train=train))
+    assert {(note.run, note.kind) for note in found} == {("run_2", "sign")}
+
+
+def test_output_that_repeats_another_column_is_foreign(clean):
+    run = clean.train[2]
+    measured = run.measured.copy()
+    measured[:, 0] = 1.8 * run.temperature_degC + 32.0
+    (note,) = review(spoil(clean, measured=measured))
+    assert (note.run, note.column, note.kind) == ("run_2", "Fz", "foreign_column")
+    assert "repeats temperature" in note.text
+
+
+def test_dwell_is_looked_at_too(clean):
+    (rest,) = clean.dwell
+    measured = rest.measured.copy()
+    measured[50:400:9, 0] = 9999.0
+    found = review(replace(clean, dwell=(replace(rest, measured=measured),)))
+    assert [(note.run, note.column, note.kind) for note in found] == [
+        (rest.group, "Fz", "sentinel")
+    ]

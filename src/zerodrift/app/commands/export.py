@@ -20,14 +20,18 @@ from zerodrift.app.commands.common import (
 @sensor_option
 @json_option
 @skip_invalid_option
+@click.option("--force", is_flag=True, help="Export from logs in which wrong data are found.")
 @changes_project
-def command(directory: Path, sensor: str | None, as_json: bool, skip_invalid: bool) -> None:
+def command(
+    directory: Path, sensor: str | None, as_json: bool, skip_invalid: bool, force: bool
+) -> None:
     """Write build/: network.onnx (float), model.json, integer.onnx, golden.npz, certificate.json.
 
     The integer model is proven free of overflow for every input, or refused with the reason.
+    Logs that hold wrong data stop it before anything is fitted: exit code 1.
     """
     from zerodrift.app.commands.firmware import show_path
-    from zerodrift.app.commands.project import open_project, train_project
+    from zerodrift.app.commands.project import open_project, refuse_wrong_data, train_project
     from zerodrift.base.journal import write_all
     from zerodrift.base.terminal import open_terminal
     from zerodrift.codegen.generate import generate
@@ -47,6 +51,8 @@ def command(directory: Path, sensor: str | None, as_json: bool, skip_invalid: bo
     console = open_terminal(stderr=True)
     config, dataset = open_project(directory, skip_invalid, sensor)
     print_notes(dataset.notes)
+    against = refuse_wrong_data(config, dataset, force=force, as_json=as_json)
+    print_notes(tuple(statement.text for statement in against))
     compensator = train_project(config, dataset, console)
     with console.status("quantizing"):
         described = describe_compensator(compensator, config, dataset.train)
