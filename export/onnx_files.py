@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import onnx
-from onnx import TensorProto, external_data_helper
+from onnx import TensorProto, external_data_helper, numpy_helper
 
 from zerodrift.base.errors import InputError
 
@@ -58,12 +58,13 @@ def load_external_data(model: onnx.ModelProto, where: str, folder: Path | None) 
     for tensor in outside:
         try:
             external_data_helper.load_external_data_for_tensor(tensor, str(folder))
+            tensor.data_location = TensorProto.DEFAULT
+            numpy_helper.to_array(tensor)  # older versions of onnx read a file that is too short
         except Exception as error:  # onnx raises kinds of its own
             raise InputError(
                 f"{where}: weight '{tensor.name}' cannot be read from '{_find_location(tensor)}'"
                 f" beside it ({error}). Export both files again."
             ) from error
-        tensor.data_location = TensorProto.DEFAULT
         del tensor.external_data[:]
 
 

@@ -56,9 +56,9 @@ def is_state(value: onnx.ValueInfoProto) -> bool:
     return len(dims) in (1, 2, 3) and 0 < dims[-1].dim_value <= MOST_WIDTH
 
 
-def list_above(makers: Mapping[str, onnx.NodeProto], out: str) -> set[str]:
-    """Return the names of all values that a value depends on, itself included."""
-    found, stack = {out}, [out]
+def list_above(makers: Mapping[str, onnx.NodeProto], *outs: str) -> set[str]:
+    """Return the names of all values that some values depend on, these included."""
+    found, stack = {*outs}, [*outs]
     while stack:
         node = makers.get(stack.pop())
         for name in node.input if node is not None else ():
@@ -115,18 +115,7 @@ class Asking:
         self.widths = {name: int(shape[-1]) for name, shape in self._shapes.items()}
         if sum(self.widths.values()) > 4 * MOST_WIDTH:
             raise ValueError("the cell is too wide")
-        inner = onnx.GraphProto()
-        inner.CopyFrom(whole)
-        names = {name for node in part.nodes for name in node.output}
-        keep = [node for node in whole.node if names & set(node.output)]
-        makers = {name: node for node in whole.node for name in node.output}
-        fixed = {t.name for t in whole.initializer}
-        needed = {n for node in keep for n in node.input} - names - set(self._names) - fixed
-        above = set[str]().union(*(list_above(makers, n) for n in needed)) if needed else set()
-        constant = [node for node in whole.node if above & set(node.output)]
-        del inner.node[:]
-        inner.node.extend(n for n in whole.node if n in keep or n in constant)
-        self._evaluator = ReferenceEvaluator(_model(inner, self._names, self._wanted, opset))
+        self._evaluator = ReferenceEvaluator(_model(whole, self._names, self._wanted, opset))
 
     def draw(self, count: int) -> dict[str, Array]:
         """Return [count, width] of what was given and of what was asked for."""
@@ -160,13 +149,19 @@ def _check_rows(graph: onnx.GraphProto, states: Sequence[str]) -> None:
 def _model(
     graph: onnx.GraphProto, inputs: Sequence[str], outputs: Sequence[str], opset: int
 ) -> onnx.ModelProto:
-    """Return a graph as a model with other inputs and outputs, of float64."""
+    """Return what lies between other inputs and outputs of a graph as a model of float64.
+
+    Nothing else is in it: an evaluator runs every node, also those that it cannot run and that
+    nothing asks for.
+    """
 
     def info(name: str) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, None)
 
+    makers = {n: node for node in graph.node for n in node.output if n not in inputs}
+    needed = list_above(makers, *outputs) - set(inputs)
     own = helper.make_graph(
-        list(graph.node),
+        [node for node in graph.node if needed & set(node.output)],
         "part",
         [info(n) for n in inputs],
         [info(n) for n in outputs],
@@ -261,7 +256,7 @@ def put_back(graph: onnx.GraphProto, part: CellPart, found: FoundCell, opset: in
     rest = [*graph.node]
     every = [*rest[:where], *nodes, *rest[where:]]
     makers = {name: node for node in every for name in node.output}
-    needed = set[str]().union(*(list_above(makers, o.name) for o in graph.output))
+    needed = list_above(makers, *(o.name for o in graph.output))
     del graph.node[:]
     graph.node.extend(node for node in every if needed & set(node.output))
     graph.initializer.extend(constants)

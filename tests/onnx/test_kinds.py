@@ -7,7 +7,15 @@ import onnx
 import onnxruntime
 import pytest
 from tests.golden.model_factory import SAMPLE_PERIOD_S
-from tests.onnx.kinds import DEVIATION, GRU_KINDS, LSTM_KINDS, LSTM_REFUSED, MEAN, Kind
+from tests.onnx.kinds import (
+    DEVIATION,
+    GRU_KINDS,
+    LSTM_KINDS,
+    LSTM_REFUSED,
+    MEAN,
+    Kind,
+    export_cells,
+)
 from tests.onnx.layer_norms import NORM_KINDS, NORM_REFUSED
 from tests.onnx.min_grus import MIN_GRU_KINDS
 from tests.onnx.test_reader import run_onnxruntime
@@ -135,6 +143,15 @@ def test_kind_is_read_as_onnxruntime_computes_it(name: str) -> None:
     found = found.reshape(expected.shape) if kind.axes == "BT" else found.swapaxes(0, 1)
     found = found.reshape(expected.shape)
     np.testing.assert_allclose(found, expected, atol=2e-4 * max(1.0, np.abs(expected).max()))
+
+
+def test_cells_are_read_beside_an_operator_that_onnx_cannot_evaluate() -> None:
+    model = onnx.load_model_from_string(export_cells("lstm", layers=2))
+    beside = onnx.helper.make_node("MaxRoiPool", ["x", "x"], ["pooled"], pooled_shape=[1, 1])
+    model.graph.node.append(beside)
+    model.graph.output.append(onnx.helper.make_tensor_value_info("pooled", 1, None))
+    imported = read_imported_bytes(model.SerializeToString(), "net.onnx", "y")
+    assert (imported.initial_state, len(imported.network.layers)) == ("input", 2)
 
 
 @pytest.mark.parametrize("weights", ["int16", "int8"])
