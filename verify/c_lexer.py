@@ -209,7 +209,9 @@ def _blank(found: re.Match[str], text: str, name: str) -> str:
         raise _refuse_at(text, name, start, "a comment by '//'; the generator writes none")
     inside = told[2:-2]
     if not re.match(r"[*]?[ \n]", inside) or not inside.endswith((" ", "\n")):
-        raise _refuse_at(text, name, start, "a comment begins with '/* ' or '/** ', ends with ' */'")
+        raise _refuse_at(
+            text, name, start, "a comment begins with '/* ' or '/** ', ends with ' */'"
+        )
     if (at := inside.find("/*")) >= 0:
         raise _refuse_at(text, name, start + 2 + at, "a comment begins within a comment")
     if (at := inside.find("\\")) >= 0:
