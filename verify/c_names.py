@@ -33,7 +33,8 @@ FURTHER = ("step_after", "restore_after", "tare", "untare")
 OF_BLOCKS = ("check_block", "choose_block")
 OWN = (
     *("advance", "rest", "relax", "begin", "hold", "sum_up", "convert", "lacks_reading"),
-    *("state_is_sound", "tables_are_sound", "is_admissible"),
+    *("state_is_sound", "tables_are_sound", "is_admissible", "is_of", "size", "sum_fits"),
+    *("rows_within", "gru_within", "add_norms"),
 )
 """Functions of a model's own that its entries call."""
 OF_NODES = re.compile(r"[a-z]\w*_(?:step|relax|is_sound)")
@@ -102,6 +103,7 @@ class _NameCheck:
     def _check_function(self, name: str, at: int) -> None:
         """Entries are declared in the header; all else is static, and of the source."""
         program, own = self._program, name in self._own
+        of_node = OF_NODES.fullmatch(name) and not name.startswith(f"{self._prefix}_")
         if (name in self._entries) != self._is_header(at):
             raise self._refuse(at, f"{name}: the header declares the entries, and nothing else")
         if (name in self._entries) == (name in program.static):
@@ -109,7 +111,7 @@ class _NameCheck:
         if function := program.functions.get(name):
             if self._is_header(function.body.at):
                 raise self._refuse(function.body.at, f"{name} has its body in the header")
-            if name in program.naked or not (own or OF_NODES.fullmatch(name)):
+            if name in program.naked or not (own or of_node):
                 raise self._refuse(at, f"{name} is no function in C that a model has")
         elif name in program.assembly:
             known = OF_ASSEMBLY.fullmatch(name) and program.signatures[name] in SIGNATURES
