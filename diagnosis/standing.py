@@ -203,8 +203,14 @@ def find_wraps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
 
 
 def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
-    """Return notes on jumps of the zero in few of the runs."""
+    """Return notes on jumps of the zero in few of the runs; none where one log is all there is.
+
+    Whether a jump is the recorder's or the sensor's shows in other recordings alone: parts of one
+    log are none.
+    """
     notes: list[DataNote] = []
+    if len({run.source for run in runs}) < 2:
+        return notes
     for k, name in enumerate(outputs):
         found = []
         for run in runs:
