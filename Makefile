@@ -22,14 +22,14 @@ help: ## list the targets
 
 setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itself
 
-$(READY): requirements.lock requirements-torch.lock pyproject.toml setup.py $(wildcard */__init__.py)
+$(READY): requirements.lock requirements-torch.lock pyproject.toml lab/pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
 	@echo "installing into $(VENV): some minutes, and on Linux 6 GB, most of it PyTorch's"
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --require-hashes -r requirements.lock
 	$(PIP) -r requirements-torch.lock
-	$(PIP) --no-deps --no-build-isolation -e .
+	$(PIP) --no-deps --no-build-isolation -e . -e lab
 	@touch $@
 
 setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opinion on every core
@@ -69,7 +69,6 @@ readme-picture: $(READY) ## docs/assets/loop.svg: the loop walked by its command
 
 docs: $(READY) ## the manual as a site, in build/site
 	$(PIP) --require-hashes -r requirements-docs.lock
-	$(RUN) .ci/link_packages.py
 	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(RUN) -m mkdocs build --quiet --strict
 	@echo "build/site/index.html; for its search, serve it: $(RUN) -m http.server -b 127.0.0.1 -d build/site"
 
@@ -116,7 +115,6 @@ test-all: $(READY) ## every test, the long proofs included
 check: $(READY) ## formatting, lint, types, C format and static analysis
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/ruff check .
-	$(RUN) .ci/link_packages.py
 	$(VENV)/bin/mypy
 	$(VENV)/bin/clang-format --dry-run --Werror c_runtime/include/zerodrift/*.h c_runtime/tests/*.c
 	$(RUN) -m zerodrift.c_runtime.analyse
@@ -148,7 +146,7 @@ c-test: $(READY) ## build the C runtime with CMake and run its ctest programs, s
 	$(VENV)/bin/ctest --test-dir build/cmake-sanitized --output-on-failure
 
 sizes: $(READY) ## flash, RAM, stack and instructions of the golden models, against main's last commit
-	$(RUN) benchmarks/sizes.py
+	$(RUN) -m benchmarks.sizes
 
 bench: $(READY) ## the figures of the documentation, but for the targets bench-... (BENCH=--quick)
 	$(RUN) -m benchmarks $(BENCH)

@@ -7,9 +7,9 @@ import pytest
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.diagnosis.advice import advise
-from zerodrift.lab.twin.project import to_config, to_dataset
-from zerodrift.lab.twin.recipe import EffectChoice, Recipe
-from zerodrift.lab.twin.simulate import simulate
+from zerodrift_lab.twin.project import to_config, to_dataset
+from zerodrift_lab.twin.recipe import EffectChoice, Recipe
+from zerodrift_lab.twin.simulate import simulate
 
 CHAMBER = ("chamber",) * 6
 MIXED = ("chamber",) * 4 + ("heating", "cooling") * 3

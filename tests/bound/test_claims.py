@@ -1,9 +1,9 @@
 """SOUNDNESS.md claims of each kind of model what the code does."""
 
 import pytest
-from setup import ROOT
 
 from tests.bound import claims
+from tests.house.test_order import ROOT
 from zerodrift.operations.errors import CAUSES
 
 PAGE = (ROOT / "SOUNDNESS.md").read_text(encoding="utf-8")

@@ -17,8 +17,8 @@ from zerodrift.c_runtime.compilers import WARNINGS, find_compilers
 from zerodrift.calibration.files import choose_counts, quantize_row
 from zerodrift.calibration.matrix import fit_calibration
 from zerodrift.export.compose import choose_lsb_per_unit
-from zerodrift.lab.twin.six_axis import draw_sensor, load_protocol, record
-from zerodrift.lab.twin.six_axis.files import render_log
+from zerodrift_lab.twin.six_axis import draw_sensor, load_protocol, record
+from zerodrift_lab.twin.six_axis.files import render_log
 
 CHANNELS = tuple(f"adc_{k}" for k in range(1, 7))
 OUTPUTS = ("Fx_N", "Fy_N", "Fz_N", "Mx_Nm", "My_Nm", "Mz_Nm")

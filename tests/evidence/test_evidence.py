@@ -175,12 +175,12 @@ def test_outcomes_are_read_back_and_not_run_again(tmp_path, monkeypatch, capsys)
 
 
 def test_outcomes_lie_under_the_version_of_the_code(tmp_path) -> None:
-    for folder in ("diagnosis", "benchmarks/evidence"):
+    for folder in ("src/zerodrift/diagnosis", "lab/benchmarks/evidence"):
         (tmp_path / folder).mkdir(parents=True)
-    rule = tmp_path / "diagnosis/rules.py"
+    rule = tmp_path / "src/zerodrift/diagnosis/rules.py"
     rule.write_text("LIMIT = 1\n")
     before = hash_code(tmp_path)
-    (tmp_path / "benchmarks/evidence/tables.py").write_text("how it is printed")
+    (tmp_path / "lab/benchmarks/evidence/tables.py").write_text("how it is printed")
     assert hash_code(tmp_path) == before
     rule.write_text("LIMIT = 2\n")
     assert hash_code(tmp_path) != before

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from tests.projects import render_toml
 
-from zerodrift.lab.twin import EffectChoice, Recipe, simulate
-from zerodrift.lab.twin.logs import render_logs
+from zerodrift_lab.twin import EffectChoice, Recipe, simulate
+from zerodrift_lab.twin.logs import render_logs
 
 SENSORS = ("SN01", "SN02", "SN03")
 

@@ -15,9 +15,9 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.fleet_config import OUTLIER_Z
 from zerodrift.fleet.differing import find_differences
 from zerodrift.fleet.evidence import ExaminedUnit, UnitEffect, UnitLook, pool
-from zerodrift.lab.twin import EffectChoice, Recipe, simulate
-from zerodrift.lab.twin.logs import render_logs
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift_lab.twin import EffectChoice, Recipe, simulate
+from zerodrift_lab.twin.logs import render_logs
 
 KINDS = tuple(f"effect_{i}" for i in range(15))
 

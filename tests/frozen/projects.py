@@ -15,9 +15,9 @@ from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model, describe_compensator
 from zerodrift.export.compose_import import describe_imported
 from zerodrift.export.onnx_reader import read_imported
-from zerodrift.lab.twin.example import ensure_example_logs
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator
+from zerodrift_lab.twin.example import ensure_example_logs
 
 ROOT = Path(__file__).parents[2]
 STORED = Path(__file__).parent / "stored"

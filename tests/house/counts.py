@@ -17,10 +17,18 @@ C_NAMES = ("TYPES", "tables", "fields", "numbers", "known", "defined", "_limits"
 NAMED = (
     ("match", "*", "groups of a regular expression"),
     ("environ", "*", "variables of the environment"),
-    ("p", "physics/effects_*", "parameters by the names under which an effect declares them"),
-    ("channels", "physics/*", "a chip's inputs by the names that effects ask for"),
-    ("inputs", "physics/*", "a chip's inputs by the names that effects ask for"),
-    ("state", "operations/*", "arrays by the names under which an operation declares them"),
+    (
+        "p",
+        "src/zerodrift/physics/effects_*",
+        "parameters by the names under which an effect declares them",
+    ),
+    ("channels", "src/zerodrift/physics/*", "a chip's inputs by the names that effects ask for"),
+    ("inputs", "src/zerodrift/physics/*", "a chip's inputs by the names that effects ask for"),
+    (
+        "state",
+        "src/zerodrift/operations/*",
+        "arrays by the names under which an operation declares them",
+    ),
     ("state", "export/*", "arrays by the names under which an operation declares them"),
     ("values", "src/zerodrift/base/*config.py", "keys of a table of zerodrift.toml"),
     ("_NEEDED", "src/zerodrift/base/*config.py", "words for a value of zerodrift.toml"),
@@ -34,44 +42,50 @@ NAMED = (
         "train/networks.py",
         "weights by the names under which a network is trained",
     ),
-    ("trace", "verify/error_budget.py", "arrays by the names of a graph's nodes"),
-    ("known", "verify/error_budget.py", "arrays by the names of a graph's nodes"),
+    ("trace", "src/zerodrift/verify/error_budget.py", "arrays by the names of a graph's nodes"),
+    ("known", "src/zerodrift/verify/error_budget.py", "arrays by the names of a graph's nodes"),
     ("values", "export/fine_tune.py", "arrays by the names of a graph's nodes"),
     ("intervals", "export/quantize_layers.py", "intervals by the names of a graph's nodes"),
     ("nodes", "*", "arrays by the names of a graph's nodes, and of their states"),
     ("stored", "train/*", "arrays by their names in a checkpoint"),
     ("arrays", "train/*", "arrays by their names in a checkpoint"),
-    ("found", "dataset/survey.py", "columns of a query, by the names that it gives them"),
-    ("page", "workbench/first.py", "parts of the page by their id"),
+    (
+        "found",
+        "src/zerodrift/dataset/survey.py",
+        "columns of a query, by the names that it gives them",
+    ),
+    ("page", "src/zerodrift/workbench/first.py", "parts of the page by their id"),
     ("_symbols", "c_runtime/emulator.py", "names that stand in the C under test"),
     ("_objects", "c_runtime/emulator.py", "names that stand in the C under test"),
-    ("tables", "verify/bound_check.py", "tables of the C under test"),
-    *((name, "verify/c_*", "names that stand in the C under test") for name in C_NAMES),
+    ("tables", "src/zerodrift/verify/bound_check.py", "tables of the C under test"),
+    *(
+        (name, "src/zerodrift/verify/c_*", "names that stand in the C under test")
+        for name in C_NAMES
+    ),
 )
 """What a key may be written out for, and where: names declared elsewhere, none of a result."""
 EDGES = {
-    "dataset/formats/*": "readers of other programs' logs",
+    "src/zerodrift/dataset/formats/*": "readers of other programs' logs",
     "c_runtime/footprint.py": "pyelftools hands out an ELF file by the format's own names",
     "c_runtime/elf.py": "the same",
     "c_runtime/chip.py": "the same",
     "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
-    "verify/trial_child.py": "a process of its own reads its job, with the standard library alone",
-    "verify/c_claims.py": "the checker reads certificate.json without the writer's code",
-    "verify/bound_claims.py": "the same",
-    "verify/bound_told.py": "the same",
+    "src/zerodrift/verify/trial_child.py": "a process of its own reads its job",
+    "src/zerodrift/verify/c_claims.py": "reads certificate.json without the writer's code",
+    "src/zerodrift/verify/bound_claims.py": "the same",
+    "src/zerodrift/verify/bound_told.py": "the same",
 }
 """Modules that turn what another program wrote into records."""
 
 KEPT_ANY = {
     "export/onnx_reader.py": "attributes of an ONNX node, which onnx hands out as any of ten types",
     "export/onnx_shapes.py": "the same, and the arrays of its tensors",
-    "operations/gru/onnx.py": "the same",
+    "src/zerodrift/operations/gru/onnx.py": "the same",
     "train/onnx_export.py": "arrays of the tensors of an ONNX file",
 }
 """Where `Any` is left, and what for."""
 
-PRODUCT = {name: folder for name, folder in FOLDERS.items() if name != "lab"}
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -86,7 +100,7 @@ class Place:
 
 def list_trees() -> Iterator[tuple[Path, str, ast.Module]]:
     """Yield every module of the product, its text and its syntax tree."""
-    for folder in PRODUCT.values():
+    for folder in FOLDERS.values():
         for path in sorted(folder.rglob("*.py")):
             text = path.read_text("utf-8")
             yield path, text, ast.parse(text)

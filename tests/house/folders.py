@@ -47,7 +47,7 @@ EDGES = {
 
 def write_project(directory: Path) -> Path:
     """Write a project of simulated logs with a hidden lag; return its directory."""
-    from zerodrift.lab.twin import Recipe, parse_choice, simulate, write_logs
+    from zerodrift_lab.twin import Recipe, parse_choice, simulate, write_logs
 
     simulated = directory / "simulated"
     write_logs(simulate(Recipe(seed=3, hidden=(parse_choice("thermal_lag"),))), simulated)

@@ -9,24 +9,22 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from tests.house.test_order import FOLDERS
+from tests.house.test_order import LINKED
 
 ROOT = Path(__file__).resolve().parents[2]
 WRITTEN = (".py", ".c", ".h", ".j2", ".js", ".css", ".html")
 """How the names of written files end; what is stored (data, golden files) ends otherwise."""
 STORED = ("tests/frozen/", "tests/golden/")
-PRODUCT = {str(folder.relative_to(ROOT)): name for name, folder in FOLDERS.items()}
 
 
 def name_part(file: str) -> str:
     """Return the part of the repository that a file belongs to."""
-    for folder, stage in PRODUCT.items():
-        if file.startswith(f"{folder}/"):
-            return "laboratory" if stage == "lab" else "product"
-    if file.startswith("src/"):
+    top, inner = file.split("/")[:2] if "/" in file else ("", "")
+    if top in ("src", *LINKED):
         return "product"
-    top = file.partition("/")[0]
-    return top if top in ("tests", "benchmarks") else "others"
+    if top == "lab":
+        return "benchmarks" if inner == "benchmarks" else "laboratory"
+    return "tests" if top == "tests" else "others"
 
 
 def count_lines() -> dict[str, int]:

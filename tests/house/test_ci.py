@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from setup import ROOT
+from tests.house.test_order import ROOT
 
 CI = ROOT / ".ci"
 

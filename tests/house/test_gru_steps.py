@@ -13,8 +13,8 @@ ASSEMBLY = re.compile(r"{% macro (\w+)\((?:node|lstm, name)\) %}(?:(?!endmacro).
 MOST_ROWS = 8
 """Places outside the kernels; lower it with the table."""
 NO_STEP = {
-    ("benchmarks/bench_cores.py", "print_table_errors"),
-    ("benchmarks/bench_kernels.py", "print_table_errors"),
+    ("lab/benchmarks/bench_cores.py", "print_table_errors"),
+    ("lab/benchmarks/bench_kernels.py", "print_table_errors"),
     ("tests/fixed_point/test_kernels.py", "test_activations_equal_reference_at_the_ends_of_int32"),
     ("tests/fixed_point/test_kernels.py", "test_tanh_error_is_within_the_specified_limit"),
     (
@@ -22,13 +22,13 @@ NO_STEP = {
         "test_reference_activations_are_odd_complementary_and_saturating",
     ),
     # the error rule of a dense layer, and how far its table is from tanh
-    ("operations/enclosure.py", "enclose_log"),
-    ("operations/table_error.py", "bound_tanh"),
+    ("src/zerodrift/operations/enclosure.py", "enclose_log"),
+    ("src/zerodrift/operations/table_error.py", "bound_tanh"),
     (
         "tests/bound/test_error_bound.py",
         "test_the_table_of_tanh_is_as_far_from_tanh_as_is_claimed_and_no_further",
     ),
-    ("operations/dense/__init__.py", "bound_error"),
+    ("src/zerodrift/operations/dense/__init__.py", "bound_error"),
     # candidates of a minGRU, one or the other
     ("tests/onnx/min_grus.py", "bound"),
     # units of a lag bank, without a gate
@@ -36,9 +36,9 @@ NO_STEP = {
     ("tests/train/test_unit_choice.py", "bend"),
     ("train/lag_bank/units.py", "fit_member"),
     # a rule over a tree of the C's text
-    ("verify/c_armv6m.py", "write_gru"),
-    ("verify/c_armv6m.py", "write_gru_before"),
-    ("verify/c_armv6m.py", "write_lstm"),
+    ("src/zerodrift/verify/c_armv6m.py", "write_gru"),
+    ("src/zerodrift/verify/c_armv6m.py", "write_gru_before"),
+    ("src/zerodrift/verify/c_armv6m.py", "write_lstm"),
 }
 """Functions with two activations that are no step."""
 

@@ -7,12 +7,12 @@ from tests.house.lines import ROOT, count_lines, name_part
 @pytest.mark.parametrize(
     ("file", "part"),
     [
-        ("operations/gru/cell.py", "product"),
+        ("src/zerodrift/operations/gru/cell.py", "product"),
         ("src/zerodrift/app/cli.py", "product"),
         ("src/zerodrift/__init__.py", "product"),
-        ("lab/twin.py", "laboratory"),
+        ("lab/zerodrift_lab/twin/heat.py", "laboratory"),
         ("tests/lab/test_twin.py", "tests"),
-        ("benchmarks/float_gru.c", "benchmarks"),
+        ("lab/benchmarks/float_gru.c", "benchmarks"),
         ("laboratory.py", "others"),
     ],
 )
@@ -22,8 +22,8 @@ def test_a_file_belongs_to_one_part(file, part) -> None:
 
 def test_written_files_are_counted_without_their_empty_lines() -> None:
     lines = count_lines()
-    file = "operations/gru/cell.py"
+    file = "src/zerodrift/operations/gru/cell.py"
     text = (ROOT / file).read_text("utf-8")
     assert lines[file] == len(text.splitlines()) - text.splitlines().count("")
-    assert "workbench/assets/workbench.js" in lines
+    assert "src/zerodrift/workbench/assets/workbench.js" in lines
     assert not [f for f in lines if f.startswith("tests/golden/") or "/stored/" in f]

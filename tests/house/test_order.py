@@ -1,25 +1,29 @@
 """The folders are the way of the data: each imports only from those before it."""
 
 import ast
+import subprocess
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from setup import ROOT, find_stages
 
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "src" / "zerodrift"
+LINKED = ("train", "export", "codegen", "c_runtime")
+"""The stages at the root, which `src/zerodrift` holds as links."""
 ORDER = (
     *("base", "dataset", "operations", "physics", "calibration", "diagnosis", "train", "export"),
     *("blocks", "codegen", "c_runtime", "verify", "discovery", "recording", "field", "fleet"),
-    *("report", "workbench", "app", "lab"),
+    *("report", "workbench", "app"),
 )
-FOLDERS = {name: ROOT / name for name in find_stages()} | {
-    name: ROOT / "src/zerodrift" / name for name in ("base", "app")
+FOLDERS = {
+    path.name: path.resolve() for path in SOURCE.iterdir() if (path / "__init__.py").is_file()
 }
 
 
 def list_modules() -> dict[str, Path]:
-    """Return every module of the product and the laboratory by its dotted name."""
+    """Return every module of the product by its dotted name."""
     found = {}
     for stage, folder in FOLDERS.items():
         for path in folder.rglob("*.py"):
@@ -72,6 +76,19 @@ def test_no_import_goes_in_a_circle() -> None:
         pytest.fail(" -> ".join(error.args[1]))
 
 
-def test_git_holds_no_symbolic_links() -> None:
-    shipped = [path for folder in FOLDERS.values() for path in folder.rglob("*")]
-    assert not [path for path in shipped if path.is_symlink()]
+def test_links_lead_to_the_four_stages_and_nowhere_else() -> None:
+    links = {path: path.readlink() for path in SOURCE.rglob("*") if path.is_symlink()}
+    assert links == {SOURCE / name: Path("../..") / name for name in LINKED}
+    assert not [path for name in LINKED for path in (ROOT / name).rglob("*") if path.is_symlink()]
+
+
+ROOMS = {".ci", "docs", "examples", "lab", "src", "tests", *LINKED}
+"""Folders at the root: nothing else holds code."""
+
+
+def test_the_root_holds_only_what_it_is_to() -> None:
+    listed = subprocess.run(
+        ("git", "ls-files"), cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    entries = {name.partition("/")[0] for name in listed.stdout.splitlines() if "/" in name}
+    assert entries == ROOMS

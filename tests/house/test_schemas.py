@@ -5,7 +5,7 @@ import dataclasses
 import json
 
 import pytest
-from setup import ROOT
+from tests.house.test_order import ROOT
 from tests.schemas import FOLDER, validate
 
 from zerodrift.app.schemas import render_schemas

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from setup import ROOT
+from tests.house.test_order import ROOT
 from tests.surroundings.conftest import write_project
 
 pytestmark = pytest.mark.slow
@@ -15,14 +15,19 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder into which the wheel of this tree is installed."""
-    folder = tmp_path_factory.mktemp("wheel")
+    place = tmp_path_factory.mktemp("wheel") / "site"
+    install(ROOT, place)
+    return place
+
+
+def install(source: Path, place: Path) -> None:
+    """Build the wheel of a distribution and install it, without what it needs, into a folder."""
+    folder = place.parent / source.name
     pip = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
-    build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT))
+    build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source))
     subprocess.run([*pip, *build], check=True)
     (wheel,) = folder.glob("*.whl")
-    place = folder / "site"
     subprocess.run([*pip, "install", "--no-deps", "--target", str(place), str(wheel)], check=True)
-    return place
 
 
 def run(site: Path, tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -49,8 +54,13 @@ def test_a_wheel_goes_from_logs_to_checked_c(site: Path, tmp_path: Path) -> None
     assert report.returncode == 0, report.stderr
 
 
-def test_a_wheel_brings_the_laboratory(site: Path, tmp_path: Path) -> None:
-    done = run(site, tmp_path, "twin", "-C", str(tmp_path / "twin"), "--runs", "1")
+def test_the_laboratory_is_a_wheel_of_its_own(site: Path, tmp_path: Path) -> None:
+    twin = ("twin", "-C", str(tmp_path / "twin"), "--runs", "1")
+    done = run(site, tmp_path, *twin)
+    assert done.returncode == 2
+    assert "pip install ./lab" in done.stderr
+    install(ROOT / "lab", site)
+    done = run(site, tmp_path, *twin)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "twin/zerodrift.toml").is_file()
 
@@ -69,7 +79,7 @@ def test_a_wheel_is_what_runs(site: Path, tmp_path: Path) -> None:
 
 
 def test_a_checkout_runs_without_links(tmp_path: Path) -> None:
-    """As `make setup` installs it: packages are found by setup.py's mapping alone."""
+    """As `make setup` installs it: the stages are found through their links."""
     code = (
         "from zerodrift.codegen.identity import find_runtime_identity;"
         "from zerodrift.c_runtime.compilers import RUNTIME_FILES;"

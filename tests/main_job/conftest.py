@@ -9,7 +9,7 @@ from tests.projects import render_toml
 
 from zerodrift.app.cli import cli
 from zerodrift.base.errors import ZerodriftError
-from zerodrift.lab.twin import Recipe, parse_choice, simulate, write_logs
+from zerodrift_lab.twin import Recipe, parse_choice, simulate, write_logs
 
 TOML = render_toml("""\
 [logs]

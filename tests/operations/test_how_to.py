@@ -14,6 +14,7 @@ from zerodrift.operations import registry
 from zerodrift.operations.node import IntegerNode
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-an-operation.md"
+HOME = "src/zerodrift/operations"
 FILE = re.compile(r"^`([\w/]+\.\w+)`:\n\n```\w+\n(.*?)^```$", re.M | re.S)
 KNOWN = ("OPERATIONS", "NODE_CLASSES", "FOLDERS", "FILTERS")
 STATELESS, STATEFUL = 3, 4
@@ -27,7 +28,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str,
     for name, text in texts.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
-    own = [str(tmp_path / "operations"), *operations.__path__]
+    own = [str(tmp_path / HOME), *operations.__path__]
     monkeypatch.setattr(operations, "__path__", own)
     before = {name: dict(getattr(registry, name)) for name in KNOWN}
     registry.find_operations()
@@ -38,7 +39,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str,
         table = getattr(registry, name)
         table.clear()
         table.update(before[name])
-    for folder in {name.split("/")[1] for name in texts if name.startswith("operations/")}:
+    for folder in {name.split("/")[3] for name in texts if name.startswith(HOME)}:
         del sys.modules[f"{operations.__name__}.{folder}"]
 
 
@@ -54,12 +55,12 @@ def test_the_page_s_operations_are_the_same_everywhere(
 
 def test_an_operation_is_no_more_files_than_the_page_says(files: dict[str, str]) -> None:
     shared = 2  # the test, and a rule of the checker's
-    folders = [name.split("/")[1] for name in files if name.startswith("operations/")]
+    folders = [name.split("/")[3] for name in files if name.startswith(HOME)]
     for folder in set(folders):
         stateful = registry.NODE_CLASSES[folder].rest is not IntegerNode.rest
         assert folders.count(folder) + shared == (STATEFUL if stateful else STATELESS)
     for name in ("maximum", "minimum"):
-        own = [p for p in (PAGE.parents[2] / "operations" / name).iterdir() if p.is_file()]
+        own = [p for p in (PAGE.parents[2] / HOME / name).iterdir() if p.is_file()]
         assert len(own) + shared == STATELESS
 
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zerodrift.lab import methods
-from zerodrift.lab.methods import METHODS
+from zerodrift_lab import methods
+from zerodrift_lab.methods import METHODS
 
 CHEAP = {"mlp": "lsm_cubic", "mlp_seq": "lsm_cubic", "tcn": "lsm_cubic", "gru_window_paper": None}
 
 
 def follow_window(runs, *, seed, options):
     """Return least squares on two differences of a window, in place of a network."""
-    from zerodrift.lab.methods.interface import FittedFunction
-    from zerodrift.lab.methods.windows import fit_windows
+    from zerodrift_lab.methods.interface import FittedFunction
+    from zerodrift_lab.methods.windows import fit_windows
 
     windows = fit_windows(runs, options.thermometers, 10, options.spacing_s)
 

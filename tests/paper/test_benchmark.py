@@ -3,9 +3,9 @@
 import pytest
 from benchmarks.bench_paper import BENCH, divide, list_cells, over_floor, pool_drift
 
-from zerodrift.lab.paper.store import Cell
-from zerodrift.lab.paper.study import Outcome
-from zerodrift.lab.paper.summary import Outcomes
+from zerodrift_lab.paper.store import Cell
+from zerodrift_lab.paper.study import Outcome
+from zerodrift_lab.paper.summary import Outcomes
 
 
 def make_outcome(method: str, error: float) -> Outcome:

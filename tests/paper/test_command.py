@@ -3,9 +3,9 @@ import json
 
 import pytest
 
-from zerodrift.lab.paper.findings import FAILS, HOLDS, REVERSED, UNDECIDED, WEAKER, judge_factor
-from zerodrift.lab.paper.published import TABLES
-from zerodrift.lab.paper.summary import Spread
+from zerodrift_lab.paper.findings import FAILS, HOLDS, REVERSED, UNDECIDED, WEAKER, judge_factor
+from zerodrift_lab.paper.published import TABLES
+from zerodrift_lab.paper.summary import Spread
 
 
 @pytest.fixture

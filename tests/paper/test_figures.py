@@ -8,10 +8,10 @@ import plotly.graph_objects as go
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.lab.paper.figures import draw_heat
-from zerodrift.lab.paper.summary import Spread
-from zerodrift.lab.paper.why import Heat
 from zerodrift.report.browser import find_browser, picture_pages
+from zerodrift_lab.paper.figures import draw_heat
+from zerodrift_lab.paper.summary import Spread
+from zerodrift_lab.paper.why import Heat
 
 CHAMBER, BENCH, SECOND = "the chamber alone", "the chamber and bench logs", "a second thermometer"
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.lab.methods import METHODS
-from zerodrift.lab.paper import study
-from zerodrift.lab.paper.store import Cell, Store, digest_sources
-from zerodrift.lab.paper.study import Outcome, run_study
-from zerodrift.lab.paper.summary import Outcomes, compare_errors, summarise
-from zerodrift.lab.paper.world import TESTS, record_test, record_training
+from zerodrift_lab.methods import METHODS
+from zerodrift_lab.paper import study
+from zerodrift_lab.paper.store import Cell, Store, digest_sources
+from zerodrift_lab.paper.study import Outcome, run_study
+from zerodrift_lab.paper.summary import Outcomes, compare_errors, summarise
+from zerodrift_lab.paper.world import TESTS, record_test, record_training
 
 CELLS = [Cell("lsm_linear", 1), Cell("lsm_cubic", 1)]
 

@@ -16,9 +16,9 @@ from zerodrift.discovery.programme import (
     list_set_points,
 )
 from zerodrift.discovery.search import list_designs
-from zerodrift.lab.twin.six_axis.heat import draw_network
-from zerodrift.lab.twin.six_axis.protocol import parse_protocol
-from zerodrift.lab.twin.six_axis.timeline import draw_timeline
+from zerodrift_lab.twin.six_axis.heat import draw_network
+from zerodrift_lab.twin.six_axis.protocol import parse_protocol
+from zerodrift_lab.twin.six_axis.timeline import draw_timeline
 
 LIMITS = resolve_limits(read(), (), 4.0)
 SPACE = Space(LIMITS, 6, 2100.0)

@@ -13,9 +13,9 @@ from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
 from zerodrift.diagnosis.rules import ENOUGH_RUNS
 from zerodrift.discovery.plan import NothingLeftError, find_open
-from zerodrift.lab.commands import loop
-from zerodrift.lab.commands.loop import describe_loop, run_loop
-from zerodrift.lab.twin.recipe import EffectChoice, Recipe
+from zerodrift_lab.commands import loop
+from zerodrift_lab.commands.loop import describe_loop, run_loop
+from zerodrift_lab.twin.recipe import EffectChoice, Recipe
 
 RECIPE = Recipe(
     seed=3,

@@ -16,9 +16,9 @@ from zerodrift.codegen.application import render_dbc as generate_dbc
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import choose_lsb_per_unit
 from zerodrift.export.integer_model import OutputFormat
-from zerodrift.lab.commands.twin import command
-from zerodrift.lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
-from zerodrift.lab.twin.six_axis import (
+from zerodrift_lab.commands.twin import command
+from zerodrift_lab.twin.sensor import FULL_SCALE, OUTPUTS, UNITS
+from zerodrift_lab.twin.six_axis import (
     CHANNELS,
     draw_sensor,
     load_protocol,
@@ -27,8 +27,8 @@ from zerodrift.lab.twin.six_axis import (
     to_config,
     to_dataset,
 )
-from zerodrift.lab.twin.six_axis.can import COUNTS_PER_UNIT, render_candump, render_dbc
-from zerodrift.lab.twin.six_axis.files import Campaign, render_files
+from zerodrift_lab.twin.six_axis.can import COUNTS_PER_UNIT, render_candump, render_dbc
+from zerodrift_lab.twin.six_axis.files import Campaign, render_files
 
 SHORT = "room 22 degC\nwait 60 s\nair 40 degC over 200 s\nload Fz 150 N\nwait 300 s\n"
 
@@ -212,5 +212,5 @@ def test_listing_names_the_protocols():
 
 
 def test_package_data_name_the_protocols():
-    text = (Path(__file__).resolve().parents[2] / "setup.py").read_text()
+    text = (Path(__file__).resolve().parents[2] / "lab/pyproject.toml").read_text()
     assert '"protocols/*.txt"' in text

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from zerodrift.lab.twin.six_axis import (
+from zerodrift_lab.twin.six_axis import (
     draw_sensor,
     list_protocols,
     load_protocol,
     parse_protocol,
     record,
 )
-from zerodrift.lab.twin.six_axis.heat import (
+from zerodrift_lab.twin.six_axis.heat import (
     CAPACITY,
     CONDUCTANCE,
     NODE,
@@ -134,7 +134,7 @@ def test_halving_the_step_changes_less_than_a_thousandth_of_the_noise(name):
 
 
 def test_halving_the_step_holds_with_effects_that_remember():
-    from zerodrift.lab.twin.six_axis import EffectChoice
+    from zerodrift_lab.twin.six_axis import EffectChoice
 
     names = ("creep", "humidity", "thermal_lag", "thermal_hysteresis", "clock_delay", "load_rate")
     sensor = draw_sensor(3, [EffectChoice(name) for name in names])

@@ -9,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zerodrift.base.errors import InputError
-from zerodrift.lab.twin.six_axis import (
+from zerodrift_lab.twin.six_axis import (
     draw_sensor,
     list_protocols,
     load_protocol,
     parse_protocol,
     record,
 )
-from zerodrift.lab.twin.six_axis.heat import NODE, draw_network
-from zerodrift.lab.twin.six_axis.protocol import WORDS
-from zerodrift.lab.twin.six_axis.timeline import draw_timeline
-from zerodrift.lab.twin.six_axis.words import DIMENSIONS
+from zerodrift_lab.twin.six_axis.heat import NODE, draw_network
+from zerodrift_lab.twin.six_axis.protocol import WORDS
+from zerodrift_lab.twin.six_axis.timeline import draw_timeline
+from zerodrift_lab.twin.six_axis.words import DIMENSIONS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -78,7 +78,7 @@ def test_wrong_protocol_is_refused_with_file_and_line(line, message):
     assert str(caught.value).startswith("p.txt:")
 
 
-FOLDER = REPOSITORY / "lab" / "twin" / "six_axis" / "protocols"
+FOLDER = REPOSITORY / "lab" / "zerodrift_lab" / "twin" / "six_axis" / "protocols"
 LINES = sorted({line for path in FOLDER.glob("*.txt") for line in path.read_text().splitlines()})
 TOKENS = sorted({token for line in LINES for token in line.split()} | {*WORDS, *DIMENSIONS})
 TOKENS += ["-5", "3..1", "1e999", "nan", "..", "%s", "\u2212" + "5", "0", "1e9"]

@@ -6,21 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import zerodrift.lab.twin.six_axis as six_axis
+import zerodrift_lab.twin.six_axis as six_axis
 from zerodrift.base.errors import InputError
-from zerodrift.lab.twin.recipe import EFFECTS
-from zerodrift.lab.twin.sensor import FULL_SCALE
-from zerodrift.lab.twin.six_axis import (
+from zerodrift_lab.twin.recipe import EFFECTS
+from zerodrift_lab.twin.sensor import FULL_SCALE
+from zerodrift_lab.twin.six_axis import (
     EffectChoice,
     draw_sensor,
     load_protocol,
     parse_protocol,
     record,
 )
-from zerodrift.lab.twin.six_axis.effects import RAILS_PERCENT
-from zerodrift.lab.twin.six_axis.electronics import read_thermometer
-from zerodrift.lab.twin.six_axis.heat import NODE
-from zerodrift.lab.twin.six_axis.specimen import list_test_weights
+from zerodrift_lab.twin.six_axis.effects import RAILS_PERCENT
+from zerodrift_lab.twin.six_axis.electronics import read_thermometer
+from zerodrift_lab.twin.six_axis.heat import NODE
+from zerodrift_lab.twin.six_axis.specimen import list_test_weights
 
 PAPER_SPAN = np.array([35.0, 25.0, 160.0, 1.4, 1.6, 0.8])
 
@@ -246,4 +246,4 @@ def test_generator_and_fit_share_no_code():
         for node in ast.walk(ast.parse(module.read_text())):
             name = node.module or "" if isinstance(node, ast.ImportFrom) else ""
             if name.split(".")[0] == "zerodrift":
-                assert name.startswith("zerodrift.lab.twin.") or name in allowed, name
+                assert name.startswith("zerodrift_lab.twin.") or name in allowed, name

@@ -12,10 +12,6 @@ import torch
 from zerodrift.base.config import EffectConfig, NetworkConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
-from zerodrift.lab.methods import METHODS, Options
-from zerodrift.lab.methods.networks import make_gru
-from zerodrift.lab.methods.projected import Projected, fit_whitening
-from zerodrift.lab.methods.windows import fit_windows
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import Tap, compute_taps
@@ -27,6 +23,10 @@ from zerodrift.train.networks import (
     build_network,
 )
 from zerodrift.train.onnx_export import build_layers_onnx, read_onnx_layers
+from zerodrift_lab.methods import METHODS, Options
+from zerodrift_lab.methods.networks import make_gru
+from zerodrift_lab.methods.projected import Projected, fit_whitening
+from zerodrift_lab.methods.windows import fit_windows
 
 NOISE = 0.02
 WITHOUT_MEMORY = ("lsm_linear", "lsm_cubic", "mlp")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.lab.twin import EffectChoice, Recipe, simulate
-from zerodrift.lab.twin.recipe import EFFECTS, LISTED_EFFECTS
-from zerodrift.lab.twin.sensor import OUTPUT_LSB, TEMPERATURE_LSB
+from zerodrift_lab.twin import EffectChoice, Recipe, simulate
+from zerodrift_lab.twin.recipe import EFFECTS, LISTED_EFFECTS
+from zerodrift_lab.twin.sensor import OUTPUT_LSB, TEMPERATURE_LSB
 
 SHORT = Recipe(seed=11, train=("chamber",) * 3, dwell=False, duration_s=1800.0)
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import zerodrift.lab.twin as twin
+import zerodrift_lab.twin as twin
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.sealed import render_sealed
 from zerodrift.dataset.load import load_dataset
-from zerodrift.lab.commands.twin import command, split_list
-from zerodrift.lab.twin import (
+from zerodrift_lab.commands.twin import command, split_list
+from zerodrift_lab.twin import (
     EffectChoice,
     Recipe,
     parse_choice,
@@ -24,10 +24,10 @@ from zerodrift.lab.twin import (
     to_dataset,
     write_logs,
 )
-from zerodrift.lab.twin.example import ensure_example_logs
-from zerodrift.lab.twin.logs import render_project
-from zerodrift.lab.twin.recipe import EFFECTS, check_recipe, expand_channels
-from zerodrift.lab.twin.stimuli import KINDS
+from zerodrift_lab.twin.example import ensure_example_logs
+from zerodrift_lab.twin.logs import render_project
+from zerodrift_lab.twin.recipe import EFFECTS, check_recipe, expand_channels
+from zerodrift_lab.twin.stimuli import KINDS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -280,7 +280,7 @@ def test_generator_shares_no_code_with_what_fits_models():
                 names = [alias.name for alias in node.names]
             for name in names:
                 if name.split(".")[0] == "zerodrift":
-                    own = name.startswith("zerodrift.lab.twin.")
+                    own = name.startswith("zerodrift_lab.twin.")
                     assert own or name in allowed, f"{module.name} imports {name}"
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from zerodrift.base.config import NETWORK_KINDS
 from zerodrift.base.errors import InputError
-from zerodrift.lab.twin import EffectChoice, Recipe, parse_choice, simulate
-from zerodrift.lab.twin.recipe import (
+from zerodrift_lab.twin import EffectChoice, Recipe, parse_choice, simulate
+from zerodrift_lab.twin.recipe import (
     LISTED_EFFECTS,
     NETWORKS,
     check_recipe,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from zerodrift.lab.twin import EffectChoice, Recipe, simulate
-from zerodrift.lab.twin.heat import draw_heat_network
-from zerodrift.lab.twin.hysteresis import ELEMENT_SPREAD, play
-from zerodrift.lab.twin.integrate import relax, solve_network
-from zerodrift.lab.twin.programmes import Following, Gait, Ramps, Steps
+from zerodrift_lab.twin import EffectChoice, Recipe, simulate
+from zerodrift_lab.twin.heat import draw_heat_network
+from zerodrift_lab.twin.hysteresis import ELEMENT_SPREAD, play
+from zerodrift_lab.twin.integrate import relax, solve_network
+from zerodrift_lab.twin.programmes import Following, Gait, Ramps, Steps
 
 
 def test_relax_solves_the_first_order_equation_for_a_ramp():
@@ -156,7 +156,7 @@ def test_halving_the_step_changes_less_than_a_thousandth_of_the_noise(kinds):
 
 
 def test_integration_step_is_at_least_five_times_finer_than_the_log():
-    from zerodrift.lab.twin.simulate import run_campaign
+    from zerodrift_lab.twin.simulate import run_campaign
 
     for period_s in (0.05, 0.1, 1.0, 5.0):
         recipe = Recipe(

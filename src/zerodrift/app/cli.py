@@ -59,6 +59,8 @@ COMPLETION = "_ZERODRIFT_COMPLETE"
 """Variable by which a shell asks for completions (click)."""
 GROUP = "zerodrift.commands"
 """Entry points that each give a mapping: command name -> (one-line help, "module:attribute")."""
+LABORATORY = ("twin", "paper")
+"""Commands of zerodrift-lab, a distribution of its own."""
 
 
 @cache
@@ -97,6 +99,12 @@ class LazyGroup(click.Group):
 
         known = list_commands()
         if args and not args[0].startswith("-") and args[0] not in known:
+            if args[0] in LABORATORY:
+                raise click.UsageError(
+                    f"'{args[0]}' is a command of zerodrift-lab, which is not installed."
+                    " Run in zerodrift's checkout: pip install ./lab",
+                    ctx,
+                )
             raise click.UsageError(f"no command '{args[0]}'{nearest(args[0], known)}", ctx)
         return super().resolve_command(ctx, args)
 
