@@ -22,14 +22,14 @@ help: ## list the targets
 
 setup: $(READY) ## create .venv with the pinned dependencies and zerodrift itself
 
-$(READY): requirements.lock requirements-torch.lock pyproject.toml lab/pyproject.toml
+$(READY): requirements.lock requirements-torch.lock pyproject.toml proof/pyproject.toml lab/pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "zerodrift needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=."; exit 2; }
 	@echo "installing into $(VENV): some minutes, and on Linux 6 GB, most of it PyTorch's"
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --require-hashes -r requirements.lock
 	$(PIP) -r requirements-torch.lock
-	$(PIP) --no-deps --no-build-isolation -e . -e lab
+	$(PIP) --no-deps --no-build-isolation -e . -e proof -e lab
 	@touch $@
 
 setup-qemu: ## QEMU and the GNU cross-compilers, by apt (root): the second opinion on every core

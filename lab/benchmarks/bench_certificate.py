@@ -17,7 +17,7 @@ from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.gru.cell import H_LIMIT_Q30
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof import compare
 
 SHAPES = {
     "int16, 16 units": Shape(hidden=16, inputs=4),

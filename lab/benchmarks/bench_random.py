@@ -29,8 +29,8 @@ from benchmarks.random_models import Case, draw_case
 from benchmarks.tightness import Tightness
 from zerodrift.operations.arithmetic import IntArray
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import compare as check_certificate
 from zerodrift.verify.onnx_model import OnnxModel
+from zerodrift_proof import compare as check_certificate
 
 FULL, QUICK, BATCH = 2000, 20, 20
 EVERY = 5

@@ -14,7 +14,7 @@ from zerodrift.blocks.proof import prove_set
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate_design
 from zerodrift.verify.certificate import certify_design
-from zerodrift.verify.certificate_check import CertificateOutcome, compare
+from zerodrift_proof.certificate.check import CertificateOutcome, compare
 
 
 def derive_again(change=lambda text: text, network: bool = True) -> CertificateOutcome:

@@ -25,9 +25,9 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.verify.certificate import certify_design
-from zerodrift.verify.certificate_check import CertificateOutcome, compare
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift_proof.certificate.check import CertificateOutcome, compare
 
 SEEDS = range(8)
 

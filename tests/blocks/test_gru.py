@@ -26,10 +26,10 @@ from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.verify.certificate import certify_design
-from zerodrift.verify.certificate_check import CertificateOutcome, compare
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 from zerodrift.verify.ways import list_host_ways
+from zerodrift_proof.certificate.check import CertificateOutcome, compare
 
 HIDDEN = 5
 """Odd, so that rows are filled up, and their words as well."""

@@ -13,7 +13,7 @@ from tests.bound.cases import draw_case
 from tests.certificate.test_check import list_texts
 from zerodrift.codegen.generate import generate
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.certificate.check import compare
 
 SEED = 11
 NUMBERS = (0, 2, 3, 5, 6, 11)

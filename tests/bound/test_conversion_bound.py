@@ -24,12 +24,12 @@ from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import GraphOperations
-from zerodrift.verify.bound_conversion import ConversionCheck
-from zerodrift.verify.c_model import read_models
-from zerodrift.verify.c_values import Block
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import compare
 from zerodrift.verify.certificate_conversions import describe_conversions
+from zerodrift_proof.bound.conversion import ConversionCheck
+from zerodrift_proof.certificate.check import compare
+from zerodrift_proof.certificate.model import read_models
+from zerodrift_proof.certificate.values import Block
 
 Told = dict[str, Any]
 GAIN = 0.31

@@ -25,9 +25,9 @@ from zerodrift.operations.gate_sums import RealUnit
 from zerodrift.operations.lstm import IntegerLstmLayer, error
 from zerodrift.operations.lstm.parts import HALVINGS, FloatGate, halve
 from zerodrift.operations.lstm.step_error import StepRules
-from zerodrift.verify import bound_lstm
-from zerodrift.verify.bound_parts import GateLine, list_parts
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.bound import lstm as bound_lstm
+from zerodrift_proof.bound.parts import GateLine, list_parts
+from zerodrift_proof.certificate.check import compare
 
 KINDS = (
     Forgetful(),

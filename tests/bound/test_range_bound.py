@@ -15,7 +15,7 @@ from tests.effects_on_chip.random_graphs import LSBS
 from zerodrift.export.error_bound import round_up
 from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.certificate.check import compare
 
 KIND = Forgetful(hidden=4, upper=(3,), coupling=0.9)
 HEAD = 0.1 * np.array([[1.0, -0.5, 0.3, 0.2], [0.0, 0.6, -0.7, 0.1]])

@@ -20,8 +20,8 @@ from tests.bound.recurrent import (
 from zerodrift.export.error_bound import round_up
 from zerodrift.operations.table_error import bound_sigmoid_table
 from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31
-from zerodrift.verify.bound_numbers import sigmoid_error
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.bound.numbers import sigmoid_error
+from zerodrift_proof.certificate.check import compare
 
 KINDS = (
     Forgetful(),

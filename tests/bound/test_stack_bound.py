@@ -28,7 +28,7 @@ from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.signals import Real
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.certificate.check import compare
 
 KINDS = (
     Forgetful(hidden=4, upper=(3,)),

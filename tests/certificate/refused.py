@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from zerodrift.verify.c_preprocessor import CLAIM
+from zerodrift_proof.certificate.preprocessor import CLAIM
 
 NAME = "front_end"
 H, C = f"{NAME}.h", f"{NAME}.c"

@@ -24,8 +24,8 @@ from zerodrift.export.compose import (
     predict_integer,
 )
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.verify.certificate_check import compare
 from zerodrift.verify.error_budget import measure_budget
+from zerodrift_proof.certificate.check import compare
 
 WITH = (EffectConfig("zero_tempco", {"order": 2}), EffectConfig("dark_current"))
 VARIANTS = [(kind, dict(v)) for kind, effect in load_catalogue().items() for v in effect.variants]

@@ -22,11 +22,11 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compilers
 from zerodrift.codegen.generate import GeneratedCode, generate, generate_design
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
-from zerodrift.verify.c_lexer import TOKEN
-from zerodrift.verify.c_model import Runtime, read_models
-from zerodrift.verify.c_preprocessor import CLAIM, KERNELS, Build, list_builds, read_ways
-from zerodrift.verify.c_values import FaultError, NotUnderstoodError
-from zerodrift.verify.certificate_check import find_taken_headers
+from zerodrift_proof.certificate.check import find_taken_headers
+from zerodrift_proof.certificate.lexer import TOKEN
+from zerodrift_proof.certificate.model import Runtime, read_models
+from zerodrift_proof.certificate.preprocessor import CLAIM, KERNELS, Build, list_builds, read_ways
+from zerodrift_proof.certificate.values import FaultError, NotUnderstoodError
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 RUNTIME = {path.name: path.read_text() for path in RUNTIME_FILES}

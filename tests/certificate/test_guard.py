@@ -10,7 +10,7 @@ import pytest
 from tests.certificate.test_check import build_files, find_fault
 from tests.golden.model_factory import Shape, draw_model
 from zerodrift.codegen import state
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.certificate.check import compare
 
 SHAPES = {
     "stream": Shape(front_end=("lowpass", "delay"), hidden=6, inputs=2, outputs=2),

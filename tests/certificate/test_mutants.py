@@ -26,8 +26,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import judge_each
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift_proof.certificate.check import judge_each
 
 SHAPE = Shape(
     inputs=3,

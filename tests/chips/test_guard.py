@@ -16,8 +16,8 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.verify.certificate import FILE_NAME, certify
-from zerodrift.verify.certificate_check import check_certificate
 from zerodrift.verify.host_check import check_host
+from zerodrift_proof.certificate.check import check_certificate
 
 SHAPES = {
     "stream": Shape(front_end=("lowpass", "delay"), hidden=6, inputs=2, outputs=2),

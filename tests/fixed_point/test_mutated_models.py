@@ -18,7 +18,7 @@ from zerodrift.base.errors import ZerodriftError
 from zerodrift.codegen.generate import generate
 from zerodrift.export.model_files import load_model
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import compare
+from zerodrift_proof.certificate.check import compare
 
 SHAPES = {
     "stack": Shape(

@@ -9,7 +9,7 @@ from tests.golden.vectors import FOLDER
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import FORMAT
-from zerodrift.verify import known_runtime
+from zerodrift_proof import known_runtime
 
 
 def main() -> None:

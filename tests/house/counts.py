@@ -57,9 +57,9 @@ NAMED = (
     ("page", "src/zerodrift/workbench/first.py", "parts of the page by their id"),
     ("_symbols", "c_runtime/emulator.py", "names that stand in the C under test"),
     ("_objects", "c_runtime/emulator.py", "names that stand in the C under test"),
-    ("tables", "src/zerodrift/verify/bound_check.py", "tables of the C under test"),
+    ("tables", "proof/zerodrift_proof/bound/check.py", "tables of the C under test"),
     *(
-        (name, "src/zerodrift/verify/c_*", "names that stand in the C under test")
+        (name, "proof/zerodrift_proof/certificate/*", "names that stand in the C under test")
         for name in C_NAMES
     ),
 )
@@ -72,9 +72,9 @@ EDGES = {
     "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
     "src/zerodrift/verify/trial_child.py": "a process of its own reads its job",
-    "src/zerodrift/verify/c_claims.py": "reads certificate.json without the writer's code",
-    "src/zerodrift/verify/bound_claims.py": "the same",
-    "src/zerodrift/verify/bound_told.py": "the same",
+    "proof/zerodrift_proof/certificate/claims.py": "reads certificate.json by itself",
+    "proof/zerodrift_proof/bound/claims.py": "the same",
+    "proof/zerodrift_proof/bound/told.py": "the same",
 }
 """Modules that turn what another program wrote into records."""
 

@@ -22,6 +22,8 @@ def name_part(file: str) -> str:
     top, inner = file.split("/")[:2] if "/" in file else ("", "")
     if top in ("src", *LINKED):
         return "product"
+    if top == "proof":
+        return "proof"
     if top == "lab":
         return "benchmarks" if inner == "benchmarks" else "laboratory"
     return "tests" if top == "tests" else "others"

@@ -82,7 +82,7 @@ def test_links_lead_to_the_four_stages_and_nowhere_else() -> None:
     assert not [path for name in LINKED for path in (ROOT / name).rglob("*") if path.is_symlink()]
 
 
-ROOMS = {".ci", "docs", "examples", "lab", "src", "tests", *LINKED}
+ROOMS = {".ci", "docs", "examples", "lab", "proof", "src", "tests", *LINKED}
 """Folders at the root: nothing else holds code."""
 
 

@@ -21,12 +21,12 @@ from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import evaluate
 from zerodrift.operations.graph import Node
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import CertificateOutcome, compare
 from zerodrift.verify.chip_check import check_chip
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift_proof.certificate.check import CertificateOutcome, compare
 
 PERIOD_S, SEED = 0.5, 5
 

@@ -30,7 +30,6 @@ from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.verify.behaviour import check_behaviour
 from zerodrift.verify.certificate import certify, certify_design
-from zerodrift.verify.certificate_check import compare
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
@@ -38,6 +37,7 @@ from zerodrift.verify.prove import prove
 from zerodrift.verify.prove_parts import OPEN, PROVEN
 from zerodrift.verify.replay import replay
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift_proof.certificate.check import compare
 
 NAMES = ("no_reading", "no_reading, guarded", "effects", "variable step, guarded")
 

@@ -24,10 +24,10 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
 from zerodrift.verify.certificate import certify_design
-from zerodrift.verify.certificate_check import compare
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.replay import replay
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift_proof.certificate.check import compare
 
 LOGS = '[logs]\ntrain = ["a.csv"]\n'
 PERIOD = "sample_period_s = 1.0\n"

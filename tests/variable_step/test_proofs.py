@@ -11,9 +11,9 @@ from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_check import CertificateOutcome, compare
 from zerodrift.verify.prove import prove
 from zerodrift.verify.prove_parts import OPEN, PROVEN, TESTED
+from zerodrift_proof.certificate.check import CertificateOutcome, compare
 
 MODEL = make_model()
 CODE = generate(MODEL)

@@ -15,8 +15,8 @@ from zerodrift.codegen.generate import generate
 from zerodrift.codegen.identity import identify_runtime
 from zerodrift.export.golden import compute_golden
 from zerodrift.verify.firmware import write_artefacts
-from zerodrift.verify.known_runtime import is_known
 from zerodrift.verify.manifest import check_manifest
+from zerodrift_proof.known_runtime import is_known
 
 ROOT = Path(__file__).parents[2]
 EVERY = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}

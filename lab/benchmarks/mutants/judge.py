@@ -208,7 +208,7 @@ def end_after(seconds: int) -> Iterator[None]:
 
 def ask_certificate(folder: Path) -> tuple[str, str]:
     """Return accepted, refused, hangs or crashes, and what the certificate's checker said."""
-    from zerodrift.verify.certificate_check import check_certificate
+    from zerodrift_proof import check_certificate
 
     try:
         with end_after(_JUDGE_SECONDS):

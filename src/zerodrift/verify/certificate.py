@@ -1,7 +1,7 @@
 """The overflow certificate: every bound that the arithmetic of a model relies on, and of what C.
 
 What is claimed here holds for any codes that the types of the inputs can hold. It is written by the
-prover that the quantizer uses; `certificate_check` derives it again from the C alone.
+prover that the quantizer uses; zerodrift-proof derives it again from the C alone.
 """
 
 import hashlib

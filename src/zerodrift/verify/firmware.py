@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,6 @@ from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify, certify_design
-from zerodrift.verify.certificate_check import CertificateOutcome, check_certificate
 from zerodrift.verify.chip_check import ChipCheck, check_chip
 from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget
@@ -62,6 +62,9 @@ from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.summary import Statement
 from zerodrift.verify.vectors import draw_golden, draw_sequences
+
+if TYPE_CHECKING:
+    from zerodrift.verify.checkers import CertificateOutcome
 
 Progress = Callable[[str], None]
 
@@ -96,7 +99,7 @@ class Firmware:
     footprint: Footprint
     chip: ChipCheck | None
     """On the emulated core; None where unicorn is not installed."""
-    certificate: CertificateOutcome
+    certificate: "CertificateOutcome"
     """Result of the independent check of the certificate."""
     bound: ErrorBound
     """Proven bound on the distance of the answers from the float model's, where there is one."""
@@ -280,7 +283,7 @@ def _compose(
 
 def certify_checked(
     model: IntegerModel, code: GeneratedCode, bound: ErrorBound, scratch: Path
-) -> tuple[str, CertificateOutcome, ErrorBound]:
+) -> tuple[str, "CertificateOutcome", ErrorBound]:
     """Return the certificate, what the independent check says of it, and the error bound in it.
 
     A bound that the check has no rule for, or does not confirm, is not told; the rest must hold.
@@ -302,7 +305,7 @@ def certify_checked(
     return certificate, recheck(code, certificate, scratch), unconfirmed
 
 
-def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> CertificateOutcome:
+def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> "CertificateOutcome":
     """Return what the independent check says of a certificate and the C it is about.
 
     Raises:
@@ -312,6 +315,8 @@ def recheck(code: GeneratedCode, certificate: str, scratch: Path) -> Certificate
     folder.mkdir(exist_ok=True)
     write_sources(code, folder)
     (folder / CERTIFICATE).write_text(certificate, encoding="utf-8")
+    from zerodrift.verify.checkers import check_certificate
+
     outcome = check_certificate(folder)
     if outcome.failures:
         raise CheckError(

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.verify.certificate import FILE_NAME
-from zerodrift.verify.certificate_check import check_certificate
-from zerodrift.verify.known_runtime import is_known
 from zerodrift.verify.manifest import NotChecked
 
 CERTIFICATE = "certificate"
@@ -35,6 +33,8 @@ def check_folder_certificate(folder: Path, runtime: Mapping[str, str]) -> Folder
             has no rules for, is not checked.
         runtime: its runtime (zd_*), which units of a fleet share: file name -> text.
     """
+    from zerodrift.verify.checkers import check_certificate, is_known
+
     if not (folder / FILE_NAME).is_file():
         return _leave("there is no certificate.json")
     if not is_known(runtime):

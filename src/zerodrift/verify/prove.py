@@ -15,7 +15,7 @@ from pathlib import Path
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.codegen.names import name_prefix
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.known_runtime import is_known
+from zerodrift.verify.checkers import is_known
 from zerodrift.verify.object_proof import (
     ProvenKernels,
     ShownKernel,

@@ -9,7 +9,6 @@ from zerodrift.base.config import Config
 from zerodrift.base.files import NOT_THERE
 from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
-from zerodrift.verify.c_claims import CertificateClaims, read_claims
 from zerodrift.verify.summary import (
     REFUSED,
     CertificateSummary,
@@ -20,6 +19,7 @@ from zerodrift.verify.summary import (
 )
 
 if TYPE_CHECKING:
+    from zerodrift.verify.checkers import CertificateClaims
     from zerodrift.verify.uncertainty import Uncertainty
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
@@ -161,6 +161,8 @@ def _find_unit_hash(config: Config) -> str:
 
 def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | None, str]:
     """Return the summary of a model's certificate.json, or None and why it is not shown."""
+    from zerodrift.verify.checkers import read_claims
+
     try:
         claims = read_claims(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -176,7 +178,7 @@ def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | 
     return summarise_certificate(claims), ""
 
 
-def summarise_certificate(claims: CertificateClaims) -> CertificateSummary:
+def summarise_certificate(claims: "CertificateClaims") -> CertificateSummary:
     """Return how many bounds are claimed, and the bounds closest to their limits."""
     bounds = []
     for bound in claims.bounds:

@@ -199,7 +199,7 @@ def _check_certificate(folder: Path, as_json: bool) -> None:
     from zerodrift.app.commands.console import show_progress
     from zerodrift.report.results import CertificateResult
     from zerodrift.verify.certificate import FILE_NAME
-    from zerodrift.verify.certificate_check import check_certificate
+    from zerodrift.verify.checkers import check_certificate
 
     if not (folder / FILE_NAME).is_file():
         raise InputError(

@@ -1,0 +1,384 @@
+"""Derives the error of an LSTM's outputs again: from the C's numbers and table, and the float ones.
+
+docs/reference/error-bound.md states the rule. Here the chip's accumulators are taken through as
+integers, the errors are found by elimination, and the way to rest is gone in integers. Shares no
+code with what derived them first and needs the standard library only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+
+from zerodrift_proof.bound import numbers
+from zerodrift_proof.bound.parts import GateLine, list_parts
+from zerodrift_proof.bound.sums import (
+    NO_CONTRACTION,
+    NONE,
+    FeatureRange,
+    GateSum,
+    Lines,
+    RowSums,
+    eliminate,
+    enclose_sigmoid,
+    enclose_tanh,
+    ends_of,
+    steepest,
+)
+from zerodrift_proof.certificate.values import LstmNumbers, NotUnderstoodError
+
+QUARTER = Fraction(1, 4)
+ROUNDS = 60
+MORE = 1.0 + 2.0**-30
+SETTLING = 64
+"""Steps towards rest."""
+NEAREST = 11
+"""To which the argument of a forget gate may go: 2^-16 < 1 - F."""
+UNIT = 1 << 60
+"""On the way to rest distances are counted in 2^-60."""
+
+
+@dataclass(frozen=True)
+class LstmGate:
+    """A gate: how far the chip's is off, and the most that it is in size, of both."""
+
+    off: Fraction
+    """Without errors of the outputs."""
+    slope: Fraction
+    """What more for each 1 that these move its argument by."""
+    top: Fraction
+
+
+@dataclass(frozen=True)
+class LstmPartRule:
+    """What bounds a unit's next error while the features lie in one part."""
+
+    i: LstmGate
+    g: LstmGate
+    o: LstmGate
+    forget: Fraction
+    """How far its argument is off, without errors of the outputs."""
+    share: Fraction
+    rest: Fraction
+    kept: Fraction
+    """The largest f."""
+    lost: Fraction
+    """The smallest 1 - f."""
+    rounding: Fraction
+    """Of the cell state in a step."""
+
+    @cached_property
+    def cell(self) -> Fraction:
+        """What |C| is drawn to at most."""
+        return _up(self.i.top * self.g.top / self.lost)
+
+    @cached_property
+    def reach(self) -> Fraction:
+        """What the cell states are drawn to at most, with what is rounded."""
+        return (self.i.top * self.g.top + self.rounding) / self.lost
+
+    @cached_property
+    def of_slip(self) -> Fraction:
+        """What a cell state of 1 is off for each exp(d) (exp(d) - 1) of a slip d."""
+        k, r = self.share, self.rest
+        return _up((self.kept + r) * (1 + k + r) * (1 + k))
+
+    @cached_property
+    def added(self) -> Fraction:
+        """What a step adds to the cell state's error, without errors of the outputs."""
+        return _up((self.i.off * self.g.top + self.g.off * self.i.top + self.rounding) / self.lost)
+
+    @cached_property
+    def pulls(self) -> tuple[Fraction, Fraction]:
+        """What it adds for each 1 that these move the arguments of i and g by."""
+        of_i, of_g = self.i.slope * self.g.top, self.g.slope * self.i.top
+        return _up(of_i / self.lost), _up(of_g / self.lost)
+
+    @cached_property
+    def of_table(self) -> Fraction:
+        """What a cell state of 1 is off by the forget gate's table."""
+        return _up((self.kept + self.rest) * self.share + self.rest)
+
+    def next_cell(self, moved: Sequence[Fraction], size: Fraction) -> Fraction:
+        """Return what a cell state of up to a size is off by at most.
+
+        Raises:
+            NotUnderstoodError: too far for the rule.
+        """
+        d = self.forget + moved[1]
+        if d > QUARTER:
+            raise NotUnderstoodError("a state may be far off: the forget gate's argument is")
+        added = self.added + self.pulls[0] * moved[0] + self.pulls[1] * moved[2]
+        return added + size * (self.of_table + self.of_slip * d * (1 + 2 * d))
+
+    def next(self, moved: Sequence[Fraction], cell: Fraction, bent: Fraction) -> Fraction:
+        """Return what bounds the output's error for that of tanh(c), and the largest tanh(C)."""
+        return self.o.top * cell + (self.o.off + self.o.slope * moved[3]) * bent
+
+
+@dataclass(frozen=True)
+class LstmUnitRule:
+    """What bounds a unit's next error, whatever the features are."""
+
+    parts: Sequence[LstmPartRule]
+    weights: Sequence[Sequence[Fraction]]
+    """[4][H] sizes of those of the outputs."""
+    bend: Fraction
+    """What tanh(c) is off by, but for c's own error."""
+
+    @cached_property
+    def cell(self) -> Fraction:
+        """The largest |C|."""
+        return max(part.cell for part in self.parts)
+
+    @cached_property
+    def bent(self) -> Fraction:
+        """The largest |tanh C|."""
+        return _up(enclose_tanh(self.cell)[1])
+
+    @cached_property
+    def top(self) -> Fraction:
+        """The largest o."""
+        return max(part.o.top for part in self.parts)
+
+    def moved(self, errors: Sequence[Fraction]) -> list[Fraction]:
+        """Return how far errors of the outputs move the arguments of i, f, g, o."""
+        return [
+            _up(sum((a * e for a, e in zip(row, errors, strict=True)), NONE))
+            for row in self.weights
+        ]
+
+    def worst(self, moved: Sequence[Fraction]) -> tuple[LstmPartRule, LstmPartRule, Fraction]:
+        """Return the parts that are worst for the cell state and the output, and its error."""
+        cells = [part.next_cell(moved, self.cell) for part in self.parts]
+        cell = max(cells)
+        after = [part.next(moved, cell + self.bend, self.bent) for part in self.parts]
+        largest = max(after)
+        places = cells.index(cell), after.index(largest)
+        return self.parts[places[0]], self.parts[places[1]], largest + Fraction(1, 1 << 30)
+
+    def next(self, errors: Sequence[Fraction]) -> Fraction:
+        """Return what bounds the error of the output after a step from these errors."""
+        return self.worst(self.moved(errors))[2]
+
+
+def bound_lstm(
+    c: LstmNumbers,
+    rows: Sequence[Sequence[Fraction]],
+    features: Sequence[FeatureRange],
+    lines: Lines,
+) -> list[Fraction]:
+    """Return how far each output can be off, however many steps were made.
+
+    Args:
+        c: what the C holds.
+        rows: per unit of the float layer its biases i, f, g, o, then weights of the features for
+            these, then those of the output.
+        features: what the layer reads.
+        lines: the table of tanh.
+
+    Raises:
+        NotUnderstoodError: the numbers do not fit, or no contraction is shown.
+    """
+    check = _LstmCheck(c, rows, features, lines)
+    units = [check.unit(j) for j in range(c.hidden)]
+    without = [NONE] * c.hidden
+    at_rest = _close(units, without)
+    ways = _go_to_rest(units, at_rest)
+    starts = [2 * (unit.top * cell + h) for unit, (cell, h) in zip(units, ways, strict=True)]
+    errors = _close(units, starts)
+    for e, rest, (_, h) in zip(errors, at_rest, ways, strict=True):
+        if e < rest + 2 * h:
+            raise NotUnderstoodError("the recurrent layer's way to rest")
+    return errors
+
+
+class _LstmCheck(RowSums):
+    def __init__(
+        self,
+        c: LstmNumbers,
+        rows: Sequence[Sequence[Fraction]],
+        features: Sequence[FeatureRange],
+        lines: Lines,
+    ) -> None:
+        super().__init__(c, rows, features, lines, 4)
+        self._cell_bits = c.cell_bits
+
+    def unit(self, j: int) -> LstmUnitRule:
+        """Return what bounds the next error of a unit.
+
+        Raises:
+            NotUnderstoodError: a rule does not hold.
+        """
+        parts = list_parts(
+            [self._line(j, g) for g in range(4)], [(x.low, x.high) for x in self._features]
+        )
+        rules = []
+        for part in parts:
+            ends = zip(self._features, part, strict=True)
+            rules.append(self._part(j, [replace(x, low=low, high=high) for x, (low, high) in ends]))
+        if max(rule.reach for rule in rules) > Fraction(1 << 30, 1 << self._cell_bits):
+            raise NotUnderstoodError("the cell state may be limited")
+        weights = [list(map(abs, self.w_h(j, g))) for g in range(4)]
+        return LstmUnitRule(rules, weights, self.tanh_off + Fraction(1, 1 << 17))
+
+    def _line(self, j: int, g: int) -> GateLine:
+        """Return a gate's argument as the choice of parts has it."""
+        c, shift = self._c, self._c.shifts[g]
+        count = 0.5 ** (shift + (16 if g == 2 else 15))
+        row = 4 * j + g
+        whole = c.w_x[row * c.inputs : (row + 1) * c.inputs]
+        slopes = [
+            float(w) * float(x.scale) for w, x in zip(self.w_x(j, g), self._features, strict=True)
+        ]
+        around = sum(abs(float(w)) for w in self.w_h(j, g))
+        bias = float(self._rows[j][g])
+        apart = around / 65536 + sum(
+            abs(float(w)) * float(x.error)
+            for w, x in zip(self.w_x(j, g), self._features, strict=True)
+        )
+        wrong = (c.bias[row] - (1 << shift >> 1)) * count - bias
+        wrongs = [w * count - real for w, real in zip(whole, slopes, strict=True)]
+        return GateLine(bias, slopes, around, wrong, wrongs, apart)
+
+    def _part(self, j: int, features: Sequence[FeatureRange]) -> LstmPartRule:
+        """Return what bounds the next error while the features are within given ones."""
+        i, g, o = (
+            self._gate(j, 0, features),
+            self._candidate(j, features),
+            self._gate(j, 3, features),
+        )
+        f = self.argument(j, 1, 15, features)
+        if ends_of(f, 15)[1] > NEAREST:
+            raise NotUnderstoodError("the forget gate comes near to 1")
+        low, high = self._arguments(f)
+        share, rest = numbers.sigmoid_error(self._lines, -high, -low)
+        chip = Fraction((1 << 30) + self.look_up(f.chip[1]), 1 << 31)
+        real = enclose_sigmoid(-f.real[1])[0]
+        rounding = Fraction(2, 1 << self._cell_bits) + Fraction(1, 1 << 30)
+        kept, lost = _up(max(chip, 1 - real)), 1 - _up(1 - min(1 - chip, real))
+        return LstmPartRule(i, g, o, _up(f.off.own), share, rest, kept, lost, rounding)
+
+    def _arguments(self, a: GateSum) -> tuple[int, int]:
+        """Return the first and last argument of the table, of the chip and of real arithmetic."""
+        ends = ends_of(a, 15)
+        return int(ends[0] * 32768 // 1), int(-(-ends[1] * 32768 // 1))
+
+    def _gate(self, j: int, g: int, features: Sequence[FeatureRange]) -> LstmGate:
+        a = self.argument(j, g, 15, features)
+        ends = ends_of(a, 15)
+        slope = _up(steepest(ends[0] / 2, ends[1] / 2) / 4)
+        chip = Fraction((1 << 30) + self.look_up(a.chip[1]), 1 << 31)
+        share, rest = numbers.sigmoid_error(self._lines, *self._arguments(a))
+        # table (share (1 - table) + rest), at the largest table (1 - table) there can be
+        of_table = min(self.tanh_off / 2, share * min(chip, QUARTER) + rest * chip)
+        top = max(chip, enclose_sigmoid(a.real[1])[1])
+        return LstmGate(_up(slope * a.off.own + of_table), slope, _up(top))
+
+    def _candidate(self, j: int, features: Sequence[FeatureRange]) -> LstmGate:
+        a = self.argument(j, 2, 16, features)
+        slope = _up(steepest(*ends_of(a, 16)))
+        chip = Fraction(max(abs(self.look_up(t)) for t in a.chip), 1 << 30)
+        real = max(abs(end) for x in a.real for end in enclose_tanh(x))
+        return LstmGate(_up(slope * a.off.own + self.tanh_off), slope, _up(max(chip, real)))
+
+
+def _close(units: Sequence[LstmUnitRule], starts: Sequence[Fraction]) -> list[Fraction]:
+    """Return errors that a step does not enlarge, with what is added to each.
+
+    Raises:
+        NotUnderstoodError: there are none.
+    """
+    errors = [NONE] * len(units)
+    for _ in range(ROUNDS):
+        errors = [Fraction(x * MORE) for x in _solve(units, starts, errors)]
+        if any(e <= 0 for e in errors):
+            break
+        after = [unit.next(errors) + start for unit, start in zip(units, starts, strict=True)]
+        if all(e >= x for e, x in zip(errors, after, strict=True)):
+            return errors
+    raise NotUnderstoodError(NO_CONTRACTION)
+
+
+def _solve(
+    units: Sequence[LstmUnitRule], starts: Sequence[Fraction], near: Sequence[Fraction]
+) -> list[float]:
+    """Return about what errors stay the same in a step; without such, no matter.
+
+    Args:
+        units: their rules.
+        starts: what is added to each error.
+        near: errors at which the parts that are worst are taken, and slopes.
+    """
+    rows = []
+    for j, (unit, start) in enumerate(zip(units, starts, strict=True)):
+        moved = unit.moved(near)
+        of_cell, of_output, after = unit.worst(moved)
+        top, d = of_output.o.top, of_cell.forget + moved[1]
+        gains = (
+            top * of_cell.pulls[0],
+            top * unit.cell * of_cell.of_slip * (1 + 4 * d),
+            top * of_cell.pulls[1],
+            unit.bent * of_output.o.slope,
+        )
+        row = [
+            -float(sum(gain * w[k] for gain, w in zip(gains, unit.weights, strict=True)))
+            for k in range(len(units))
+        ]
+        # the tangent at the errors given: after + row (e - near)
+        own = float(after + start) + sum(a * float(e) for a, e in zip(row, near, strict=True))
+        row[j] += 1.0
+        rows.append([*row, own])
+    return eliminate(rows)
+
+
+def _go_to_rest(
+    units: Sequence[LstmUnitRule], errors: Sequence[Fraction]
+) -> list[tuple[Fraction, Fraction]]:
+    """Return how far a unit's cell state and output are from rest at last, beyond their errors.
+
+    A step takes the cell state by a quarter to a half to where the outputs draw it. The slope of
+    exp(d) (exp(d) - 1), 2 exp(2 d) - exp(d), is that of outputs as far apart as they can be.
+    """
+    pulls, outputs = list[list[int]](), list[list[int]]()
+    furthest = [2 * unit.top for unit in units]
+    for unit in units:
+        moved = unit.moved([e + far for e, far in zip(errors, furthest, strict=True)])
+        d = max(part.forget for part in unit.parts) + moved[1]
+        of_f = unit.cell * max(part.of_slip for part in unit.parts)
+        of_f *= 2 * numbers.exp(2 * d)[1] - numbers.exp(d)[0]
+        of_i, of_g = (max(part.pulls[k] for part in unit.parts) for k in (0, 1))
+        i, f, g, o = unit.weights
+        three = zip(i, f, g, strict=True)
+        pulls.append([_count(of_i * a + of_f * b + of_g * c) for a, b, c in three])
+        of_o = unit.bent * max(part.o.slope for part in unit.parts)
+        outputs.append([_count(of_o * weight) for weight in o])
+    tops = [_count(unit.top) for unit in units]
+    cells = [_count(unit.cell) for unit in units]
+    hs = [_count(unit.top * unit.bent) for unit in units]
+    for _ in range(SETTLING):
+        drawn = [_product(row, hs) for row in pulls]
+        cells = [
+            max(-(-(3 * cell + to) // 4), -(-(cell + to) // 2))
+            for cell, to in zip(cells, drawn, strict=True)
+        ]
+        hs = [
+            min(2 * top, _product([top], [cell]) + _product(row, hs))
+            for top, cell, row in zip(tops, cells, outputs, strict=True)
+        ]
+    return [(Fraction(cell, UNIT), Fraction(h, UNIT)) for cell, h in zip(cells, hs, strict=True)]
+
+
+def _up(x: Fraction) -> Fraction:
+    """Return x or a little more, in counts of 2^-96."""
+    return Fraction(-((-x.numerator << 96) // x.denominator), 1 << 96)
+
+
+def _count(x: Fraction) -> int:
+    """Return x >= 0 in whole units, or a little more."""
+    return -int(-x * UNIT // 1)
+
+
+def _product(a: Sequence[int], b: Sequence[int]) -> int:
+    """Return the sum of products in units, rounded up."""
+    return -(-sum(x * y for x, y in zip(a, b, strict=True)) // UNIT)

@@ -1,0 +1,247 @@
+"""Derives every bound of a certificate again from the generated C alone, and compares.
+
+The C is run once over intervals (`intervals`). The runtime's kernels are taken at their
+specification (docs/reference/integer-arithmetic.md), their constants and table from zd_runtime.h
+and .c. Shares no code with the generator and needs the standard library only.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from zerodrift_proof.bound.check import check_bound
+from zerodrift_proof.certificate.checksum import FIELD as SUM
+from zerodrift_proof.certificate.claims import CertificateClaims, read_claims
+from zerodrift_proof.certificate.header import find_wrong_indices
+from zerodrift_proof.certificate.intervals import IntervalMachine
+from zerodrift_proof.certificate.model import Model, read_models
+from zerodrift_proof.certificate.values import TYPES, FaultError, NotUnderstoodError, anything
+from zerodrift_proof.known_runtime import is_known
+
+SHARED_RUNTIME = "runtime"
+"""Beside the folders of a fleet's units: the runtime of all of them."""
+NOT_THERE = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
+MALFORMED = (*NOT_THERE, ValueError, KeyError, TypeError, AttributeError, IndexError)
+"""What files raise that are missing, or not built like a certificate and its C."""
+
+
+@dataclass(frozen=True)
+class CertificateOutcome:
+    """What the check found: how many claims hold, and every one that does not."""
+
+    holds: int
+    failures: tuple[str, ...]
+    understood: bool = True
+    """False: the C holds something without a rule, so that nothing is shown either way."""
+
+
+def check_certificate(folder: Path) -> CertificateOutcome:
+    """Return what becomes of the certificate in a firmware folder, whatever is in its files.
+
+    Raises:
+        OSError: a file is there and the system does not hand it out, which says nothing of it.
+    """
+    try:
+        claims = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+        contents = {n: find_file(folder, n).read_bytes() for n in read_claims(claims).files}
+        texts = {name: content.decode() for name, content in contents.items()}
+        outcome = compare(claims, texts)
+        taken = tuple(find_taken_headers(folder, texts))
+        return replace(outcome, failures=(*taken, *outcome.failures))
+    except MALFORMED as error:
+        return CertificateOutcome(
+            0, (f"{folder}: not a certificate and its C ({type(error).__name__}: {error})",)
+        )
+
+
+def find_taken_headers(folder: Path, texts: Mapping[str, str]) -> Iterator[str]:
+    """Yield what is wrong where a file of the firmware would be read as a compiler's own header.
+
+    Args:
+        folder: of the firmware, in which a compiler looks before it looks among its own.
+        texts: file name -> content, of all files that are compiled.
+    """
+    asked = {name for text in texts.values() for name in re.findall(r"#include <(.+?)>", text)}
+    for name in sorted(asked):
+        if any((place / name).exists() for place in (folder, folder.parent / SHARED_RUNTIME)):
+            yield (
+                f"{name}: lies beside the C, where a compiler may read it in the place of its own;"
+                " remove it"
+            )
+
+
+def find_file(folder: Path, name: str) -> Path:
+    """Return a file of a firmware folder; of a unit of a fleet, the runtime that all share."""
+    shared = folder.parent / SHARED_RUNTIME / name
+    return shared if shared.is_file() and not (folder / name).exists() else folder / name
+
+
+def compare(claims: Mapping[str, object], texts: dict[str, str]) -> CertificateOutcome:
+    """Hold a certificate's claims against the files they are about.
+
+    Args:
+        claims: the content of certificate.json.
+        texts: file name -> content, of the model's header and source and of the runtime.
+    """
+    outcomes = list(judge_each(claims, texts))
+    understood = all(outcome.understood for outcome in outcomes)
+    failures = tuple(text for outcome in outcomes for text in outcome.failures)
+    return CertificateOutcome(outcomes[-1].holds if understood else 0, failures, understood)
+
+
+def judge_each(claims: Mapping[str, object], texts: dict[str, str]) -> Iterator[CertificateOutcome]:
+    """Yield what becomes of the claims on the files, then of all others for each way to compile.
+
+    It ends with the first way that is not understood. Arguments as for `compare`.
+    """
+    read = read_claims(claims)
+    prefix, failures = read.prefix, []
+    for name, digest in read.files.items():
+        found = hashlib.sha256(texts[name].encode()).hexdigest()
+        if found != digest:
+            failures.append(f"{name}: its hash is {found[:12]}, the certificate's {digest[:12]}")
+    if not is_known(texts):
+        what = "the runtime (zd_*.h, zd_*.c) is no text that was compared with the reference"
+        yield _refuse(failures, what)
+        return
+    if not {f"{prefix}.h", f"{prefix}.c"} <= {*read.files}:
+        failures.append(f"the certificate is not about {prefix}.h and {prefix}.c")
+    try:
+        models = read_models(texts, prefix)
+    except FaultError as error:
+        yield CertificateOutcome(0, (*failures, str(error)))
+        return
+    except (NotUnderstoodError, *MALFORMED) as error:
+        yield _refuse(failures, str(error))
+        return
+    macros = models[0].program.tokens.macros
+    if macros.get(f"{prefix.upper()}_MODEL_HASH") != [f'"{read.model}"']:
+        failures.append(f"{prefix}.h: does not name the certificate's model {read.model[:12]}")
+    failures += [f"{prefix}.h: {text}" for text in find_wrong_indices(macros, prefix)]
+    yield CertificateOutcome(0, tuple(failures))
+    for model in models:  # each kernel has the weights in an order of its own
+        outcome = judge_way(claims, model)
+        yield outcome
+        if not outcome.understood:
+            return
+    if isinstance(claims.get("error_bound"), list):
+        yield judge_bound(claims, models[0], outcome)
+
+
+def judge_bound(
+    claims: Mapping[str, object], model: Model, before: CertificateOutcome
+) -> CertificateOutcome:
+    """Hold the error bound against what the C and the float model's parameters give.
+
+    The numbers are those of any way to compile; each has shown them to be alike.
+    """
+    if before.failures:
+        return before
+    try:
+        holds, failures = check_bound(claims, model)
+    except (NotUnderstoodError, FaultError, *MALFORMED) as error:
+        return _refuse([], f"error bound: {error}")
+    return CertificateOutcome(before.holds + holds, tuple(failures))
+
+
+def judge_way(claims: Mapping[str, object], model: Model) -> CertificateOutcome:
+    """Run one way of compiling a model, and hold the claims against it."""
+    try:
+        model.run()
+    except (NotUnderstoodError, *MALFORMED) as error:
+        failures = [f"{model.name}: {text}" for text in model.failures]
+        return _refuse(failures, f"{model.name}: {error}")
+    holds, contradictions = judge(claims, model)
+    failures = [f"{model.name}: {text}" for text in (*model.failures, *contradictions)]
+    return CertificateOutcome(holds, tuple(failures))
+
+
+def _refuse(failures: list[str], what: str) -> CertificateOutcome:
+    text = f"{what}: there is no rule for this, so nothing is shown"
+    return CertificateOutcome(0, (*failures, text), understood=False)
+
+
+def judge(claims: Mapping[str, object], machine: IntervalMachine) -> tuple[int, list[str]]:
+    """Return how many claims hold for what was derived, and what is wrong with the others."""
+    read = read_claims(claims)
+    holds, failures = 0, []
+    claimed = {c.where: (c.low, c.high, c.bits) for c in read.bounds}
+    for where, (low, high, bits) in claimed.items():
+        found = machine.bounds.get(where)
+        if found is None:
+            failures.append(f"{where}: claimed, but nothing of that name is in the C")
+        elif found[0] < low or found[1] > high or found[2] != bits:
+            failures.append(
+                f"{where}: claimed {low} .. {high} in {bits} bits, derived {found[0]} .. {found[1]}"
+                f" in {found[2]}"
+            )
+        else:
+            holds += 1
+    # a variable that is no accumulator need not be claimed
+    missing = [w for w in machine.bounds if w not in claimed and re.search(r"[.\[]", w)]
+    failures += [f"{where}: relied on by the C, but not claimed" for where in missing]
+    shifts = read.shifts
+    for where in sorted({*shifts, *machine.shifts}):
+        if shifts.get(where) == machine.shifts.get(where):
+            holds += 1
+        else:
+            found_shift = machine.shifts.get(where)
+            failures.append(f"{where}: claimed {shifts.get(where)}, the C has {found_shift}")
+    known = {
+        (f"{place}.h_q30", -machine.h_limit, machine.h_limit) for place, _ in machine.recurrent
+    }
+    for claim in read.invariants:
+        if (claim.where, claim.low, claim.high) in known:
+            holds += 1
+        else:
+            failures.append(f"{claim.where}: the state check admits another range than claimed")
+    table = (machine.lines, -machine.tanh_max, machine.tanh_max)
+    for line in read.tables:
+        if (line.lines, line.low, line.high) == table:
+            holds += 1
+        else:
+            failures.append(f"{line.where}: claimed {line}, the C has {table}")
+    wrong = _judge_blocks(read, machine)
+    holds += len(read.blocks) if not wrong else 0
+    return holds, [*failures, *wrong, *_judge_state(read, machine)]
+
+
+def _judge_blocks(claims: CertificateClaims, machine: IntervalMachine) -> list[str]:
+    """Return where the set of blocks that is claimed is not the one that the C lets through."""
+    tested = machine.blocks
+    failures, left = [], {*tested.limits, *tested.layers}
+    for claim in claims.blocks:
+        name = claim.where.removeprefix("b->")
+        norm, rows = tested.norms.get(name), tested.layers.get(name)
+        found = (*tested.limits.get(name, ()), *((norm.row, norm.most) if norm else (0, 0)))
+        if rows is not None:
+            any_word = anything("int32_t")
+            found = (any_word.low, any_word.high, 0, 0, rows.units, rows.x, rows.h)
+        layer = claim.layer if any(claim.layer) else ()
+        if found != (claim.low, claim.high, claim.row, claim.norm, *layer):
+            failures.append(f"{claim.where}: claimed {claim}, the test of a block has {found}")
+        left.discard(name)
+    return [*failures, *(f"b->{name}: tested by the C, but not claimed" for name in sorted(left))]
+
+
+def _judge_state(claims: CertificateClaims, machine: IntervalMachine) -> list[str]:
+    """Return what is wrong with the claims on the inputs' codes and the state's checksum."""
+    failures = []
+    fields = machine.program.structs[f"{machine.prefix}_input_t"]
+    own = [(f.name, *TYPES[f.type.name]) for f in fields if not f.sizes]
+    claimed = [(c.where, c.low, c.high) for c in claims.inputs]
+    names = {name for name, _, _ in own}
+    if len(own) != len(fields) or len(own) != len(claimed):
+        failures.append(f"{len(claimed)} inputs are claimed, the header has {len(fields)}")
+    for (name, *codes), (channel, *ends) in zip(own, claimed, strict=False):
+        if codes != ends or (channel in names and channel != name):
+            failures.append(
+                f"input {channel}: claimed {ends[0]} .. {ends[1]}; the header has {name} of"
+                f" {codes[0]} .. {codes[1]} there"
+            )
+    if claims.checksum != (SUM if machine.summed else None):
+        failures.append(f"checksum {claims.checksum} is claimed; the C has {machine.summed}")
+    return failures
