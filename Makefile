@@ -131,7 +131,7 @@ lock: ## write the hashes in requirements*.lock again, after a version was chang
 	.ci/lock
 
 schemas: $(READY) ## write the JSON Schemas of what the commands print again
-	$(RUN) -m zerodrift.app.schemas
+	$(RUN) -m zerodrift.cli.schemas
 
 golden: $(READY) ## write the golden vectors and the runtime's table again; read the diff
 	$(RUN) -m zerodrift.c_runtime.write_table

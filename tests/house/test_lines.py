@@ -8,7 +8,7 @@ from tests.house.lines import ROOT, count_lines, name_part
     ("file", "part"),
     [
         ("src/zerodrift/operations/gru/cell.py", "product"),
-        ("src/zerodrift/app/cli.py", "product"),
+        ("src/zerodrift/cli/main.py", "product"),
         ("src/zerodrift/__init__.py", "product"),
         ("lab/zerodrift_lab/twin/heat.py", "laboratory"),
         ("tests/lab/test_twin.py", "tests"),
