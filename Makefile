@@ -131,7 +131,7 @@ lock: ## write the hashes in requirements*.lock again, after a version was chang
 	.ci/lock
 
 schemas: $(READY) ## write the JSON Schemas of what the commands print again
-	$(RUN) -m zerodrift.app.schemas
+	$(RUN) -m zerodrift.cli.schemas
 
 golden: $(READY) ## write the golden vectors and the runtime's table again; read the diff
 	$(RUN) -m zerodrift.c_runtime.write_table
@@ -145,7 +145,8 @@ c-test: $(READY) ## build the C runtime with CMake and run its ctest programs, s
 	$(VENV)/bin/cmake --build build/cmake-sanitized
 	$(VENV)/bin/ctest --test-dir build/cmake-sanitized --output-on-failure
 
-sizes: $(READY) ## flash, RAM, stack and instructions of the golden models, against main's last commit
+sizes: $(READY) ## against main: lines and modules of each folder; flash, RAM and instructions of the golden models
+	$(RUN) -m tests.house.lines --against main
 	$(RUN) -m benchmarks.sizes
 
 bench: $(READY) ## the figures of the documentation, but for the targets bench-... (BENCH=--quick)

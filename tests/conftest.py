@@ -73,7 +73,7 @@ def zerodrift(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., Result]:
     """Return a function that runs the command line in this process, as a shell would."""
-    from zerodrift.app.cli import main
+    from zerodrift.cli.main import main
 
     def run(*arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", ["zerodrift", *map(str, arguments)])

@@ -31,7 +31,7 @@ def main(quick: bool) -> None:
         log = Path(scratch) / "long.parquet"
         write_long(next((project / "logs").glob("test_*")), log, rows)
         probe = (
-            "import sys; from zerodrift.app.cli import main; sys.argv[0] = 'zerodrift'\n"
+            "import sys; from zerodrift.cli.main import main; sys.argv[0] = 'zerodrift'\n"
             "try: main()\n"
             "finally:\n"
             "  peak = next(s for s in open('/proc/self/status') if s.startswith('VmHWM'))\n"

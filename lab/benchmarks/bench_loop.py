@@ -33,7 +33,7 @@ HOUR_PEAK_GB = 4.0
 LINEAR = 1.1
 """Largest exponent of CPU time over rows that counts as linear."""
 STAGES = {
-    "read": ("zerodrift.app.commands.project", "open_project"),
+    "read": ("zerodrift.tasks.project", "open_project"),
     "base": ("zerodrift.diagnosis.examination", "fit_base"),
     "noise": ("zerodrift.diagnosis.examination", "measure_rest"),
     "candidates": ("zerodrift.diagnosis.examination", "try_candidates"),
@@ -186,7 +186,7 @@ def measure_stages(command: str, directory: Path) -> str:
     for stage, (module_name, name) in STAGES.items():
         module = importlib.import_module(module_name)
         setattr(module, name, wrap(stage, getattr(module, name)))
-    from zerodrift.app.cli import cli
+    from zerodrift.cli.main import cli
 
     before_s = time.process_time()
     done = CliRunner().invoke(cli, [command, "-C", str(directory), "--json"])

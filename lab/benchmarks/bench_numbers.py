@@ -28,12 +28,12 @@ from benchmarks.shown_tables import (
     list_terminal,
     read_text,
 )
-from zerodrift.app.commands.survey import survey_project
 from zerodrift.base.records import from_json
 from zerodrift.diagnosis.diagnosis import write_probability
 from zerodrift.report.findings import Findings
 from zerodrift.report.report import render_report
 from zerodrift.report.results import AddResult, CompareResult, DiagnoseResult
+from zerodrift.tasks.survey import survey_project
 from zerodrift.workbench import outcomes, panels, verdicts
 
 QUICK = 5

@@ -7,12 +7,12 @@
     python -m benchmarks.bench_plan time
 
 The sensors are those of `zerodrift_lab.twin`, which shares no code with what plans. Each hides one
-effect of a pair of look-alikes. *hours*: the first hours of the twin's own chamber programme, an hour
-a run, against programmes planned before the first log within the same temperatures, loads and
-inputs, for the same hours with the same rest after each log. Both are done to the same sensor, whose numbers
-neither knows: its effect has its size over CAMPAIGN_H hours of the twin's programme, whatever is
-recorded. The plan is told a target as large, by its own definition. Right is that `diagnose` names
-the effect, and not the other one beside it. *probability*:
+effect of a pair of look-alikes. *hours*: the first hours of the twin's own chamber programme, an
+hour a run, against programmes planned before the first log within the same temperatures, loads and
+inputs, for the same hours with the same rest after each log. Both are done to the same sensor,
+whose numbers neither knows: its effect has its size over CAMPAIGN_H hours of the twin's programme,
+whatever is recorded. The plan is told a target as large, by its own definition. Right is that
+`diagnose` names the effect, and not the other one beside it. *probability*:
 plans of several hours for pairs, on sensors drawn anew whose effect is as large as the plan was
 told; what they predict against how often it came. Sensors of one plan share its prediction: many
 plans with few draws say more than few with many. *time*: planning 8 hours with 6 open effects.

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.formula_cases import DISTURBANCES, FORMS, Simulated, simulate
-from zerodrift.app.formula_search import search_formula
 from zerodrift.base.config import EffectConfig, OutputConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
@@ -42,6 +41,7 @@ from zerodrift.export.reference import Reference
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.tasks.formula_search import search_formula
 from zerodrift.train.prepare import read_settings, stand_alone
 
 WITHIN = 0.1

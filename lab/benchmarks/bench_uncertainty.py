@@ -20,8 +20,6 @@ from scipy.stats import beta
 
 from benchmarks.foreign import case, files
 from benchmarks.real_units import DATA, UNITS, UNSEEN, RealUnit, leave_out_each
-from zerodrift.app.applied_rows import UNSTATED
-from zerodrift.app.apply import Chip, measure_beyond
 from zerodrift.base.config import Config, NetworkConfig, load_config
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.load import load_dataset
@@ -33,6 +31,8 @@ from zerodrift.export.compose import (
     describe_compensator,
     encode_inputs,
 )
+from zerodrift.tasks.applied_rows import UNSTATED
+from zerodrift.tasks.apply import Chip, measure_beyond
 from zerodrift.train.refits import Original
 from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train

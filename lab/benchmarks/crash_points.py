@@ -15,9 +15,9 @@ from pathlib import Path
 from tests.faults.scenarios import SCENARIOS, Scenario, find_set
 from tests.state.faults import Tree, list_crashes, read_tree
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import ZerodriftError
 from zerodrift.base.journal import hold_project
+from zerodrift.cli.main import cli
 
 
 def run(project: Path, arguments: tuple[str, ...]) -> int:

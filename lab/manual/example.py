@@ -7,10 +7,10 @@ from pathlib import Path
 import plotly.graph_objects as go
 from click.testing import CliRunner
 
-from zerodrift.app.cli import cli
-from zerodrift.app.commands.survey import list_contributions, survey_project
+from zerodrift.cli.main import cli
 from zerodrift.report.figures import draw_candidates, draw_staircase
 from zerodrift.report.figures_runs import Window, draw_run
+from zerodrift.tasks.survey import list_contributions, survey_project
 
 TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
 SIMULATED = "Simulated: `zerodrift " + " ".join(TWIN) + "`."
@@ -20,8 +20,8 @@ OUTPUT = "Fz"
 @cache
 def draw_example() -> dict[str, tuple[go.Figure, str]]:
     """Return the pictures by name, each with its caption."""
-    from zerodrift.app.commands.project import open_project
     from zerodrift.physics.catalogue import load_catalogue
+    from zerodrift.tasks.project import open_project
 
     with tempfile.TemporaryDirectory(prefix="zerodrift-manual-") as name:
         directory = Path(name) / "sensor"

@@ -13,7 +13,6 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from zerodrift.app.commands.survey import survey_project
 from zerodrift.base.journal import write_text
 from zerodrift.diagnosis.drivers import TEMPERATURE, DriftDriver
 from zerodrift.report import cause
@@ -22,6 +21,7 @@ from zerodrift.report.plot import AxisScale, Panel, Picture
 from zerodrift.report.results import read_result
 from zerodrift.report.svg import render_svg
 from zerodrift.report.window import Window
+from zerodrift.tasks.survey import survey_project
 from zerodrift.verify.summary import FirmwareSummary
 
 TARGET = Path(__file__).parents[2] / "docs" / "assets" / "loop.svg"

@@ -7,7 +7,7 @@ from importlib import import_module
 import click
 
 from manual.notebooks import DOCS, list_notebooks, render_notebook
-from zerodrift.app.cli import cli, list_commands
+from zerodrift.cli.main import cli, list_commands
 
 MODULES = {
     "effects": (

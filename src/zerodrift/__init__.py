@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from zerodrift import effects
-    from zerodrift.app.frames import Output
-    from zerodrift.app.project import Project
+    from zerodrift.api.frames import Output
+    from zerodrift.api.project import Project
     from zerodrift.base.errors import CheckError, InputError, ZerodriftError
 
 __version__ = "0.1.0"
 __all__ = ["CheckError", "InputError", "Output", "Project", "ZerodriftError", "effects"]
 
 _PLACES = {
-    "Project": "app.project",
-    "Output": "app.frames",
+    "Project": "api.project",
+    "Output": "api.frames",
     "InputError": "base.errors",
     "CheckError": "base.errors",
     "ZerodriftError": "base.errors",

@@ -1,5 +1,5 @@
 """`python -m zerodrift` is the command line."""
 
-from zerodrift.app.cli import main
+from zerodrift.cli.main import main
 
 main()

@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 from tests.surroundings.conftest import write_project
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 
 
 @pytest.fixture(scope="session")

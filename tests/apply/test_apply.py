@@ -10,17 +10,17 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from zerodrift.app.applied_model import choose_file
-from zerodrift.app.applied_rows import FLAG_NAMES
-from zerodrift.app.apply import Chip, answer
-from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.log_steps import name_columns, read_log_steps
 from zerodrift.export.compose import predict_integer
 from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
 from zerodrift.export.model_files import load_model
+from zerodrift.tasks.applied_model import choose_file
+from zerodrift.tasks.applied_rows import FLAG_NAMES
+from zerodrift.tasks.apply import Chip, answer
 
 HEADER = "time_s,temperature_degC,y_N"
 
@@ -128,7 +128,7 @@ def test_a_channel_without_a_code_for_none_holds_its_last_reading(
     chip = Chip(replace(model, channels=(channel, *model.channels[1:])))
     config = load_config(built)
     columns = name_columns(config, ["temperature_degC", "measured:y"])
-    monkeypatch.setattr("zerodrift.app.apply.BLOCK", 32)
+    monkeypatch.setattr("zerodrift.tasks.apply.BLOCK", 32)
     told = []
     for text in (with_hole, filled):
         log.write_text("\n".join(text) + "\n")
@@ -178,7 +178,7 @@ def test_without_a_compiler_the_reference_gives_the_same(
     def refuse(*_: object, **__: object) -> None:
         raise OSError("no compiler")
 
-    monkeypatch.setattr("zerodrift.app.apply.HostModel", refuse)
+    monkeypatch.setattr("zerodrift.tasks.apply.HostModel", refuse)
     slow = Chip(model)
     assert "no compiler" in slow.note
     by_reference = answer(slow, config, steps)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from zerodrift.app.cli import cli
-from zerodrift.app.diff import measure_over_range, open_model
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import predict_integer
 from zerodrift.export.model_files import load_model
+from zerodrift.tasks.diff import measure_over_range, open_model
 
 
 def diff(*arguments: object) -> Result:

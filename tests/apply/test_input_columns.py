@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from tests.conftest import Result
 from tests.surroundings.conftest import Command
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 
 HEAD = ["date", "time", "temp", "HX711 [counts]", "place", "=remark"]
 SCALE = """\

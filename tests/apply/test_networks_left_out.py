@@ -10,11 +10,11 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.gate.sensors import TESTS, TRAIN, write_sensor
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import NetworkConfig, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
 from zerodrift.base.sealed import read_sealed
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.train import conclude, refits

@@ -11,10 +11,10 @@ from click.testing import CliRunner
 from scipy.stats import t as student
 
 import zerodrift as zd
-from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.report.results import ApplyResult, CompareResult, ReportResult
 from zerodrift.verify.uncertainty import (

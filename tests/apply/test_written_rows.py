@@ -6,10 +6,10 @@ import polars as pl
 import pytest
 from polars.exceptions import ComputeError
 
-from zerodrift.app import applied_rows
-from zerodrift.app.commands.built import read_kept
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.text_format import TextFormat
+from zerodrift.tasks import applied_rows
+from zerodrift.tasks.built import read_kept
 
 
 def make_rows(text=None, **columns):

@@ -11,11 +11,11 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from zerodrift.app.commands.calibrate import command
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import WARNINGS, find_compilers
 from zerodrift.calibration.files import choose_counts, quantize_row
 from zerodrift.calibration.matrix import fit_calibration
+from zerodrift.cli.calibrate import command
 from zerodrift.export.compose import choose_lsb_per_unit
 from zerodrift_lab.twin.six_axis import draw_sensor, load_protocol, record
 from zerodrift_lab.twin.six_axis.files import render_log

@@ -13,10 +13,10 @@ from tests.fixed_point.test_cmake import run
 from tests.golden.vectors import load
 from tests.verify.conftest import write_firmware
 
-from zerodrift.app.cli import cli
-from zerodrift.app.commands.package import KINDS
 from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
+from zerodrift.cli.main import cli
+from zerodrift.cli.package import KINDS
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.packages import PACKAGES, render_package
 

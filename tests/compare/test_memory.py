@@ -8,7 +8,7 @@ import pytest
 from benchmarks.bench_memory import LIMIT_BYTES_PER_ROW, write_project
 from click.testing import CliRunner
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 from zerodrift.diagnosis import memory
 from zerodrift.diagnosis.memory import average
 

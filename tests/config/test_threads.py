@@ -23,5 +23,5 @@ def test_commands_compute_on_one_thread_unless_the_user_wants_more(
 
 
 def test_number_of_threads_is_set_before_numpy_is_loaded() -> None:
-    code = "import sys, zerodrift.app.cli; sys.exit('numpy' in sys.modules)"
+    code = "import sys, zerodrift.cli.main; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

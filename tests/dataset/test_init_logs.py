@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 from tests.dataset.conftest import SHARED_DATA
 
-from zerodrift.app.commands.init import command
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.init import command
 from zerodrift.dataset.chip_codes import choose_input_codes
 from zerodrift.dataset.load import load_dataset
 

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 from tests.projects import FORCE, render_toml
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 
 EFFECTS = """

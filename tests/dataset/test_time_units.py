@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 from tests.projects import FORCE, render_toml
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.time_units import read_time_unit, write_time

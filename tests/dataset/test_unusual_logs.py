@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 from tests.projects import FORCE, render_toml
 
-from zerodrift.app.commands.init import command
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.init import command
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.survey import write_range

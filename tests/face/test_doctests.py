@@ -18,7 +18,7 @@ import zerodrift as zd
 import zerodrift.operations.arithmetic
 import zerodrift.operations.gru.layouts
 from zerodrift import effects
-from zerodrift.app.project import Project
+from zerodrift.api.project import Project
 from zerodrift.base.shown import Shown
 
 FRAMES = {f"run{i}": make_frame(i, lag=30.0) for i in range(3)}

@@ -6,8 +6,8 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from zerodrift.app.commands.console import show_progress
 from zerodrift.base.progress import PROGRESS_LINES, is_watched
+from zerodrift.cli.console import show_progress
 from zerodrift.train.progress import show_progress as show_training
 from zerodrift.train.scores import Stage
 

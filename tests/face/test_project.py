@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner
 
 import zerodrift as zd
-from zerodrift.app.cli import cli
-from zerodrift.app.frames import to_polars
+from zerodrift.api.frames import to_polars
+from zerodrift.cli.main import cli
 from zerodrift.verify.summary import FirmwareSummary
 
 N = 500

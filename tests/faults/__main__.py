@@ -23,8 +23,8 @@ from pathlib import Path
 
 from tests.faults.points import ALLOCATION, ELSEWHERE, FAIL, KILL, ON_PROJECT, Point, Trial
 from tests.faults.scenarios import SCENARIOS
-from zerodrift.app.cli import list_commands
 from zerodrift.c_runtime.compilers import find_compiler
+from zerodrift.cli.main import list_commands
 
 HERE = Path(__file__).parent
 MODULES = ("numpy", "polars", "scipy.optimize", "zerodrift.verify.firmware")

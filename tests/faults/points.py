@@ -101,7 +101,7 @@ def _be_the_command(
     folder: Path, arguments: tuple[str, ...], point: Point | None, output: Path, calls: Path | None
 ) -> int:
     """Run the command line in this process; return its exit code."""
-    from zerodrift.app.cli import main
+    from zerodrift.cli.main import main
 
     os.setsid()
     said = os.open(output, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)

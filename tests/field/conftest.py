@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 from tests.projects import render_toml
 
-from zerodrift.app.cli import cli
 from zerodrift.blocks.block import MAGIC, SERIAL_BYTES, seal
 from zerodrift.blocks.design import FORMAT_OF_BLOCK
+from zerodrift.cli.main import cli
 
 DAY = 1440
 NOISE = 0.05

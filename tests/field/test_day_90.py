@@ -9,11 +9,11 @@ from click.testing import CliRunner
 from tests.field.conftest import BEGIN_S, write_log
 from tests.field.test_swapped import FLEET, SLOPES, make_fleet, render_fleet
 
-from zerodrift.app.cli import cli
 from zerodrift.blocks.block import decode_header
 from zerodrift.blocks.design import load_design
 from zerodrift.blocks.editions import FILE_NAME
 from zerodrift.c_runtime.host import HostModel
+from zerodrift.cli.main import cli
 from zerodrift.codegen.generate import generate_design
 
 ONE, ANOTHER = "SN02", "SN03"

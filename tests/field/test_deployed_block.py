@@ -12,17 +12,17 @@ from click.testing import CliRunner, Result
 from tests.field.conftest import BEGIN_S, write_log
 from tests.fleet.conftest import SENSORS, TOML, write_sensor
 
-from zerodrift.app import apply as chip
-from zerodrift.app.cli import cli
-from zerodrift.app.monitored_log import Deployed, apply_to, open_log
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.block import apply, decode, decode_header, encode_numbers, seal
 from zerodrift.blocks.design import BlockDesign, load_design
+from zerodrift.cli.main import cli
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.field.registry import open_registry
 from zerodrift.field.registry_file import FILE_NAME
 from zerodrift.fleet.sensors import load_unit
+from zerodrift.tasks import apply as chip
+from zerodrift.tasks.monitored_log import Deployed, apply_to, open_log
 
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
 

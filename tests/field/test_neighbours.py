@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 from tests.field.conftest import BEGIN_S, write_log
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.field.neighbours import FullAnswers, fit_polynomial, measure_lost, render
 
 DEGREES = np.linspace(-10.0, 60.0, 701)

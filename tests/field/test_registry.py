@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from tests.blocks.test_blocks import find_design, list_units, make_block
 from tests.field.conftest import BEGIN_S, make_bare_block, write_log
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.block import seal
 from zerodrift.blocks.files import render_block
+from zerodrift.cli.main import cli
 from zerodrift.field.registry import open_registry
 
 WRITERS, UNITS = 6, 15

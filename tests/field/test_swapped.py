@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 from tests.field.conftest import BEGIN_S, DAY, OUTPUT, REST, write_log
 from tests.projects import render_toml
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 from zerodrift.field.registry import open_registry
 from zerodrift.field.summary import MonitorResult, UnitSought
 from zerodrift.report.results import read_result

@@ -10,9 +10,9 @@ from click.testing import CliRunner, Result
 from tests.fleet.conftest import TOLD, TOML
 from tests.schemas import validate
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
 from zerodrift.base.fleet_config import OUTLIER_Z
+from zerodrift.cli.main import cli
 from zerodrift.fleet.differing import find_differences
 from zerodrift.fleet.evidence import ExaminedUnit, UnitEffect, UnitLook, pool
 from zerodrift.physics.catalogue import load_catalogue

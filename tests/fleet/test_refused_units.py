@@ -6,7 +6,7 @@ from pathlib import Path
 from click.testing import CliRunner
 from tests.fleet.conftest import SENSORS
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 
 
 def spoil(log: Path) -> None:

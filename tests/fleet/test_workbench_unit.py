@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner
 from tests.fleet.conftest import SENSORS
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.fleet.sensors import FOLDER
 from zerodrift.report.results import TrainResult
 from zerodrift.workbench.actions import press

@@ -10,7 +10,6 @@ import pytest
 from tests.gate.sensors import TESTS, TRAIN, Program, ask_gate, heat, list_kinds, write_sensor
 from tests.main_job.conftest import invoke
 
-from zerodrift.app.commands.built import read_firmware
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
@@ -20,6 +19,7 @@ from zerodrift.operations.counter import IntegerCounter
 from zerodrift.operations.dense import IntegerDense
 from zerodrift.operations.exp2 import IntegerExp2
 from zerodrift.report.tables import tabulate_chip_error
+from zerodrift.tasks.built import read_firmware
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out
 from zerodrift.verify.contrast import (

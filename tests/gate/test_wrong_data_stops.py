@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 from tests.schemas import validate
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.diagnosis.referee import find_refusals
 

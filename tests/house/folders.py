@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from tests.house.test_order import FOLDERS
 from tests.projects import render_toml
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 
 TOML = render_toml("""\
 [logs]
@@ -39,7 +39,7 @@ out = "firmware"
 """)
 
 EDGES = {
-    ("return", "open_project"): "commands/project.py",
+    ("return", "open_project"): "tasks/project.py",
     ("call", "write_artefacts"): "verify/firmware.py",
 }
 """Where reading ends and where writing begins."""

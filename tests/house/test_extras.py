@@ -6,9 +6,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from tests.surroundings.conftest import REST, write_project
 
 import zerodrift
+from zerodrift.cli import main
 
 BLOCKER = """
 import sys
@@ -80,3 +82,12 @@ def test_who_lacks_an_extra_is_told_its_name(place: Path, tmp_path: Path) -> Non
         done = run(place, *words)
         assert done.returncode == 2, (words, done.stderr)
         assert extra in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+def test_who_lacks_the_laboratory_is_told_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(main, "list_commands", lambda: {"init": ("", "")})
+    done = CliRunner().invoke(main.cli, ["twin"])
+    assert done.exit_code == 2
+    assert "pip install ./lab" in done.output

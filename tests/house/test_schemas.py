@@ -8,16 +8,16 @@ import pytest
 from tests.house.test_order import ROOT
 from tests.schemas import FOLDER, validate
 
-from zerodrift.app.schemas import render_schemas
 from zerodrift.base.records import from_json, get_schema_name, list_fields, to_dict
+from zerodrift.cli.schemas import render_schemas
 from zerodrift.report.results import RESULTS, DoctorResult
 from zerodrift.verify.machine import Item
 
-COMMANDS = ROOT / "src/zerodrift/app/commands"
+COMMANDS = ROOT / "src/zerodrift/cli"
 
 
 def test_schemas_are_current() -> None:
-    """Else: `python -m zerodrift.app.schemas`."""
+    """Else: `python -m zerodrift.cli.schemas`."""
     kept = {path.name: path.read_text("utf-8") for path in FOLDER.glob("*.json")}
     assert kept == render_schemas()
 

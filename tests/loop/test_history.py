@@ -5,9 +5,9 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from zerodrift.app.cli import cli
-from zerodrift.app.commands.history import draw_bar
 from zerodrift.base.config import load_config
+from zerodrift.cli.history import draw_bar
+from zerodrift.cli.main import cli
 from zerodrift.diagnosis.history import (
     EffectSettings,
     Entry,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import pytest
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 
 _SPEC = importlib.util.spec_from_file_location(
     "regenerate_tutorial", Path(__file__).with_name("regenerate_tutorial.py")

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 
-from zerodrift.app.commands.survey import summarise_survey, survey_project
 from zerodrift.base.records import to_dict
 from zerodrift.report.report import render_report
+from zerodrift.tasks.survey import summarise_survey, survey_project
 
 
 def edit_log(path, change):

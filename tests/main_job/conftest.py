@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner, Result
 from tests.projects import render_toml
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import ZerodriftError
+from zerodrift.cli.main import cli
 from zerodrift_lab.twin import Recipe, parse_choice, simulate, write_logs
 
 TOML = render_toml("""\

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.main_job.conftest import invoke, write_project
 
-from zerodrift.app.commands.firmware import explain_worse_than_physics
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
+from zerodrift.cli.firmware import explain_worse_than_physics
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import (
     describe_compensator,

@@ -12,11 +12,11 @@ from tests.golden.vectors import load
 from tests.projects import render_toml
 from tests.verify.conftest import write_firmware
 
-from zerodrift.app.cli import main
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
 from zerodrift.base.lock import STATE
+from zerodrift.cli.main import main
 from zerodrift.codegen.generate import generate
 from zerodrift.export.golden import GoldenVectors, compute_golden
 from zerodrift.export.integer_model import IntegerModel
@@ -126,7 +126,7 @@ def test_what_no_command_expects_is_still_one_message(
     def fail(*_: object, **__: object) -> None:
         raise OSError(code, os.strerror(code), "/somewhere/file")
 
-    monkeypatch.setattr("zerodrift.app.cli.cli.main", fail)
+    monkeypatch.setattr("zerodrift.cli.main.cli.main", fail)
     with pytest.raises(SystemExit) as end:
         main()
     told = capsys.readouterr().err
@@ -153,7 +153,7 @@ def test_a_log_that_cannot_be_opened_in_the_midst_is_one_message(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("zerodrift.app.cli.cli.main", fail)
+    monkeypatch.setattr("zerodrift.cli.main.cli.main", fail)
     with pytest.raises(SystemExit) as end:
         main()
     told = capsys.readouterr().err
@@ -165,6 +165,6 @@ def test_an_error_that_is_no_disks_answer_is_not_hidden(monkeypatch: pytest.Monk
     def fail(*_: object, **__: object) -> None:
         raise ConnectionResetError(errno.ECONNRESET, "reset")
 
-    monkeypatch.setattr("zerodrift.app.cli.cli.main", fail)
+    monkeypatch.setattr("zerodrift.cli.main.cli.main", fail)
     with pytest.raises(ConnectionResetError):
         main()

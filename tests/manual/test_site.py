@@ -12,7 +12,7 @@ from manual.hooks import ASKED, HOME, ask_for_effects, list_contents, name_outsi
 from manual.pages import MODULES, list_pages, render_commands
 from manual.pictures import PICTURES, count_alarms, draw_picture, follow, measure_stall
 
-from zerodrift.app.cli import list_commands
+from zerodrift.cli.main import list_commands
 from zerodrift.physics.catalogue import load_catalogue
 
 ROOT = Path(__file__).parents[2]

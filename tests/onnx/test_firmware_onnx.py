@@ -10,10 +10,10 @@ from click.testing import CliRunner, Result
 from tests.onnx.graphs import Graph, keras
 from tests.onnx.torch_networks import Form, export
 
-from zerodrift.app.cli import cli
-from zerodrift.app.commands.onnx_option import OnnxRequest, open_import
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
+from zerodrift.cli.onnx_option import OnnxRequest, open_import
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset

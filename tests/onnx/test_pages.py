@@ -11,8 +11,8 @@ import torch
 from click.testing import CliRunner
 from tests.golden.model_factory import Shape, draw_model
 
-from zerodrift.app.cli import cli
 from zerodrift.c_runtime.compilers import find_compiler
+from zerodrift.cli.main import cli
 from zerodrift.export.integer_onnx import save_integer_onnx
 from zerodrift.export.onnx_reader import read_imported
 from zerodrift.export.reference import Reference

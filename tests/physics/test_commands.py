@@ -7,8 +7,8 @@ from click.testing import CliRunner
 from tests.physics.conftest import SLOPE, STEP_S, follow, make_dataset
 from tests.projects import render_toml
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.physics.registry import READING_ORDER
 
 TOML = render_toml(

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.report.test_verdict import told
-from zerodrift.app.commands.diagnose import explain_verdict
+from zerodrift.cli.diagnose import explain_verdict
 from zerodrift.physics.catalogue import load_catalogue
 
 

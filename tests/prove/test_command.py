@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 from tests.golden.vectors import load
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
+from zerodrift.cli.main import cli
 from zerodrift.codegen.generate import generate
 from zerodrift.verify.object_proof import BUILDS, build_program
 

@@ -13,8 +13,8 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.recording.open_source import open_source
 from zerodrift.recording.sources import Reading, SourceText
 

@@ -13,8 +13,8 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.recording.coverage import Coverage, Wanted
 from zerodrift.recording.keep import Keeper
 from zerodrift.recording.recorder import Recording, RowRules, check_rules

@@ -15,9 +15,9 @@ import pytest
 from click.testing import CliRunner
 from tests.recording.test_recorder import TOML, write_device
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import InputError
 from zerodrift.base.toml_logs import add_log
+from zerodrift.cli.main import cli
 from zerodrift.recording.coverage import Coverage, Wanted
 from zerodrift.recording.keep import name_journal
 from zerodrift.recording.status import (

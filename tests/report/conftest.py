@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.loop.conftest import Project, write_project
 
-from zerodrift.app.commands.survey import survey_project
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary, OutputSummary, WorstSegment
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.findings import Findings, Provenance, Trace
+from zerodrift.tasks.survey import survey_project
 
 
 @pytest.fixture(scope="session")

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zerodrift.app.commands.project import open_project
-from zerodrift.app.commands.survey import PROPOSAL, read_proposal, trace_provenance
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.diagnosis.formula.curve import FormulaCurve
 from zerodrift.report.proposal import MOST_OUTPUTS, ProposedFormula, draw_remainder
 from zerodrift.report.report import render_report
 from zerodrift.report.svg import render_svg
+from zerodrift.tasks.project import open_project
+from zerodrift.tasks.survey import PROPOSAL, read_proposal, trace_provenance
 
 LINE = FormulaCurve((-1.0, 0.0, 2.0), (-1.1, 0.1, 2.0))
 TOLD = ProposedFormula("k * |T|", ("FORMULA: drift = k * |T|.",), {"Fz": LINE}, {"Fz": "N"})

@@ -7,9 +7,9 @@ import numpy as np
 import polars as pl
 from tests.projects import FORCE, render_toml
 
-from zerodrift.app.commands.survey import trace_provenance
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
+from zerodrift.tasks.survey import trace_provenance
 
 
 def test_each_file_of_a_run_that_is_a_folder_is_listed(tmp_path: Path) -> None:

@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 from tests.report.conftest import make_comparison
 
-from zerodrift.app.commands.built import read_certificate
-from zerodrift.app.commands.survey import summarise_survey, survey_project
 from zerodrift.base.records import to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.diagnosis.comparison_summary import RunSummary
@@ -29,6 +27,8 @@ from zerodrift.report.findings import (
 )
 from zerodrift.report.parts import MOST_PARTS, list_parts
 from zerodrift.report.report import MOST_WORST, list_pictures, render_report
+from zerodrift.tasks.built import read_certificate
+from zerodrift.tasks.survey import summarise_survey, survey_project
 
 
 class Reader(HTMLParser):
@@ -202,7 +202,7 @@ def test_simulated_logs_are_said_to_be(project, zerodrift):
 
 def test_diagnosis_is_kept_until_the_logs_change(surveyed, monkeypatch):
     project, findings = surveyed
-    monkeypatch.setattr("zerodrift.app.commands.survey.find_verdict", None)
+    monkeypatch.setattr("zerodrift.tasks.survey.find_verdict", None)
     again = survey_project(project.directory)
     assert again.diagnosed == findings.diagnosed
 

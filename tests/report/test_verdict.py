@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from zerodrift.app.commands.diagnose import explain_verdict
+from zerodrift.cli.diagnose import explain_verdict
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from tests.surroundings.conftest import REST, Command, assert_one_message, write_project
 
-from zerodrift.app.trust import require_place
 from zerodrift.base.errors import InputError
+from zerodrift.tasks.trust import require_place
 
 
 @pytest.mark.parametrize("command", ["firmware", "fleet"])

@@ -9,9 +9,9 @@ from tests.surroundings.conftest import REST, Command, Run, assert_one_message, 
 from tests.verify.conftest import write_firmware
 from tests.verify.test_verify import forge
 
-from zerodrift.app.trust import remember_code
 from zerodrift.c_runtime.host import render_sources
 from zerodrift.export.model_files import load_model
+from zerodrift.tasks.trust import remember_code
 from zerodrift.verify import folder_check
 from zerodrift.verify.replay import read_code
 
@@ -88,7 +88,7 @@ def test_the_answer_on_the_terminal_is_taken(
     stranger: Path, tmp_path: Path, zerodrift: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = [False, True]
-    monkeypatch.setattr("zerodrift.app.trust._is_somebody_there", lambda: True)
+    monkeypatch.setattr("zerodrift.tasks.trust._is_somebody_there", lambda: True)
     monkeypatch.setattr("click.confirm", lambda *_, **__: answers.pop(0))
     done = zerodrift("effects", "-C", stranger)
     assert_one_message(done, 2, "not run, as you asked")

@@ -12,9 +12,9 @@ from tests.onnx.test_firmware_onnx import TOML
 from tests.train.test_engine import SETTINGS, draw_sequences
 from tests.train.test_lstm import write_lagging_logs
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import NetworkConfig, parse_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.export.quantize_lstm import quantize_lstm
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.contraction import (

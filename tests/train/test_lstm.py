@@ -11,8 +11,8 @@ import torch
 from click.testing import CliRunner
 from tests.onnx.test_firmware_onnx import TOML
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import NetworkConfig
+from zerodrift.cli.main import cli
 from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.model_files import load_model
 from zerodrift.export.onnx_reader import read_imported_bytes

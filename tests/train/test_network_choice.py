@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner
 from tests.gate.sensors import TESTS, TRAIN, write_sensor
 
-from zerodrift.app.cli import cli
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator

@@ -12,7 +12,6 @@ from tests.blocks.units import describe_unit
 from tests.projects import render_toml
 from tests.variable_step.models import make_model
 from tests.verify.conftest import Agreed, write_firmware
-from zerodrift.app.apply import Chip
 from zerodrift.base.config import Config, load_config, parse_config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.blocks.block import BlockNotes
@@ -23,6 +22,7 @@ from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
+from zerodrift.tasks.apply import Chip
 from zerodrift.verify.certificate import certify_design
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.replay import replay

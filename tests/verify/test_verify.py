@@ -18,9 +18,9 @@ from click.testing import CliRunner
 from tests.golden.vectors import load
 from tests.verify.conftest import MODEL
 
-from zerodrift.app.cli import cli
 from zerodrift.base.errors import ZerodriftError
 from zerodrift.base.sealed import render_sealed
+from zerodrift.cli.main import cli
 from zerodrift.export.golden import load_golden
 from zerodrift.verify import folder_check, ways
 from zerodrift.verify.manifest import FILE_NAME

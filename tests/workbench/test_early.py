@@ -112,14 +112,14 @@ def test_where_no_log_can_be_read_there_is_no_chart_and_the_facts_stay(project):
     for log in (project.directory / "logs").glob("run_*.csv"):
         log.write_text("nothing\n")
     target = project.directory.parent / "first.json"
-    words = ["-m", "zerodrift.app.sketch", str(project.directory), str(target)]
+    words = ["-m", "zerodrift.workbench.sketch", str(project.directory), str(target)]
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
     assert not target.exists()
 
 
 def test_the_first_chart_loads_no_findings():
-    loaded = list_loaded("zerodrift.app.sketch")
+    loaded = list_loaded("zerodrift.workbench.sketch")
     assert not {name for name in loaded if name.startswith("zerodrift.diagnosis.")}
     assert not loaded & set(LATER)
 

@@ -9,7 +9,7 @@ from tests.field.conftest import make_bare_block
 from tests.workbench.conftest import serve
 from tests.workbench.pages import expect, open_page, wait_for_job
 
-from zerodrift.app.cli import cli
+from zerodrift.cli.main import cli
 from zerodrift.field.registry import open_registry
 from zerodrift.field.registry_file import FILE_NAME
 from zerodrift.workbench.units import list_serials, show_history, show_units

@@ -260,8 +260,8 @@ def ask_verify(project: Path, *, quick: bool = False) -> tuple[str, str]:
     """Return accepted, refused, hangs or crashes, and what `zerodrift verify` said."""
     from click.testing import CliRunner
 
-    from zerodrift.app.cli import cli
     from zerodrift.base.errors import ZerodriftError
+    from zerodrift.cli.main import cli
 
     home = Path.cwd()
     shortened = first_failure_suffices() if quick else contextlib.nullcontext()

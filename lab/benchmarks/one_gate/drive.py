@@ -11,8 +11,8 @@ from typing import Any
 
 from click.testing import CliRunner
 
-from zerodrift.app.cli import cli
 from zerodrift.base.threads import use_one_thread
+from zerodrift.cli.main import cli
 
 CRASHED = -1
 """Stands for an exit code where a command ended with an error of its own making, or not at all."""

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zerodrift.app.commands.common import json_option, print_json, print_notes
-from zerodrift.app.commands.console import open_console, show_progress
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_text
+from zerodrift.cli.common import json_option, print_json, print_notes
+from zerodrift.cli.console import open_console, show_progress
 
 if TYPE_CHECKING:
     from zerodrift_lab.paper.findings import Finding

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zerodrift.app.commands.console import show_progress
 from zerodrift.base.errors import InputError
+from zerodrift.cli.console import show_progress
 from zerodrift_lab.twin.recipe import EffectChoice
 from zerodrift_lab.twin.sensor import OUTPUTS, UNITS
 from zerodrift_lab.twin.six_axis import (

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import click
 
-from zerodrift.app.commands.common import json_option, packed, print_json
-from zerodrift.app.trust import claim
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
+from zerodrift.cli.common import json_option, packed, print_json
+from zerodrift.tasks.trust import claim
 from zerodrift_lab.commands.loop import describe_loop, run_loop
 from zerodrift_lab.commands.six_axis import (
     CampaignRequest,
@@ -277,7 +277,7 @@ def command(context: click.Context, directory: Path, as_json: bool, options: Twi
     if options.loop is not None:
         if options.six_axis:
             raise InputError("twin: --loop is for the plain twin; leave --six-axis out.")
-        from zerodrift.app.commands.console import show_progress
+        from zerodrift.cli.console import show_progress
 
         with show_progress("simulating logs") as say:
             looped = run_loop(ask_recipe(options), options.loop, say)

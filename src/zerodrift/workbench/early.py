@@ -38,7 +38,7 @@ WIDTH = 1000.0
 """Pixels of a picture where none are told, ..."""
 LARGEST = 1e5
 """... or more than any window has."""
-SKETCH = "zerodrift.app.sketch"
+SKETCH = "zerodrift.workbench.sketch"
 """Reads what a first chart shows from one log, in a process of its own."""
 SKETCH_FILE = "first.json"
 AGAIN_S = 1

@@ -1,0 +1,1 @@
+"""The Python face: a project with the tasks as methods."""

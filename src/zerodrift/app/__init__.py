@@ -1,1 +1,0 @@
-"""The command line: calls the stages in order and shows what they return."""

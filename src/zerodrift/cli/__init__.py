@@ -1,0 +1,1 @@
+"""The command line: options make a task's request, text and JSON come from its result."""

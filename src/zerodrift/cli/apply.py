@@ -1,0 +1,131 @@
+"""`zerodrift apply`: the finished model over any log, as the chip would."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.cli.common import (
+    directory_option,
+    json_option,
+    print_notes,
+    print_result,
+    sensor_option,
+    skip_invalid_option,
+    trust_option,
+)
+from zerodrift.cli.console import (
+    open_console,
+    open_table,
+    print_uncertainty,
+    show_progress,
+)
+
+if TYPE_CHECKING:
+    from zerodrift.report.results import ApplyResult
+
+KINDS = INTEGER, FLOAT = ("integer", "float")
+
+
+@click.command()
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@directory_option
+@sensor_option
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    metavar="FILE",
+    help="File, .csv or .parquet, or a directory for several logs (default: LOG_compensated in "
+    "the current directory, Parquet where the log is, else CSV).",
+)
+@click.option(
+    "--model",
+    "kind",
+    type=click.Choice(KINDS),
+    default=INTEGER,
+    show_default=True,
+    help="The chip's integers, or the float model they were made from.",
+)
+@click.option(
+    "--block",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    default=None,
+    metavar="FILE",
+    help="The block on the unit, where coefficients lie in a block (default: as the registry says, "
+    "else the one written last).",
+)
+@trust_option
+@json_option
+@skip_invalid_option
+def command(
+    logs: tuple[Path, ...],
+    directory: Path,
+    sensor: str | None,
+    out: Path | None,
+    kind: str,
+    block: Path | None,
+    as_json: bool,
+    skip_invalid: bool,
+) -> None:
+    """Run the model of the last `firmware` over LOG... and write what it gives for every row.
+
+    Each output gains OUTPUT_drift, OUTPUT_compensated (measured less drift) and OUTPUT_uncertainty
+    (expanded, k = 2), in its unit; `flags` are the chip's. A log needs no reference. Rows without a
+    reading are given to the chip as such.
+    """
+    from zerodrift.report.results import ApplyResult
+    from zerodrift.tasks.applied_model import choose_file, open_applied, refuse_taken
+    from zerodrift.tasks.apply import apply_model
+    from zerodrift.tasks.project import open_config, open_project
+
+    config = open_config(directory, sensor)
+    pairs = [(log, choose_file(log, out, len(logs) > 1)) for log in logs]
+    refuse_taken(pairs)
+    opened = open_applied(
+        config,
+        kind,
+        load_logs=lambda: open_project(directory, sensor=sensor)[1],
+        block=block,
+    )
+    with show_progress("applying") as say:
+        applied = apply_model(
+            config,
+            opened.model,
+            pairs,
+            uncertainty=opened.uncertainty,
+            predict_float=opened.predict_float,
+            skip_invalid=skip_invalid,
+            say=say,
+        )
+    stated = opened.uncertainty.state() if opened.uncertainty is not None else None
+    told = ApplyResult(kind, opened.model.hash, tuple(applied), opened.notes, stated)
+    if as_json:
+        print_result(told)
+        return
+    print_notes((*told.notes, *(note for log in applied for note in log.notes)))
+    _print(told)
+
+
+def _print(told: "ApplyResult") -> None:
+    console = open_console()
+    for log in told.logs:
+        table = open_table(
+            f"{log.log}: {log.rows} rows, {log.steps} steps",
+            ("output", "unit"),
+            ("RMS drift", "largest drift", "uncertainty (k = 2)"),
+        )
+        for name, output in log.outputs.items():
+            expanded = "-" if output.uncertainty is None else f"{output.uncertainty:.2g}"
+            table.add_row(
+                name,
+                output.unit,
+                f"{output.rms_drift:.4g}",
+                f"{output.largest_drift:.4g}",
+                expanded,
+            )
+        console.print(table)
+        for text, count in log.flags.items():
+            console.print(f"flag at {count} of {log.steps} steps: {text}")
+        console.print(f"wrote {log.file}")
+    print_uncertainty(told.uncertainty, console)

@@ -1,0 +1,348 @@
+"""`zerodrift record`: a log from a live source, and what it still has to cover."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from zerodrift.base.errors import InputError
+from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.terminal import open_terminal
+from zerodrift.cli.common import directory_option, json_option, packed, print_result
+from zerodrift.cli.console import open_console, open_table
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from zerodrift.recording.coverage import Covered, CoveredRange
+    from zerodrift.recording.recorder import Show
+    from zerodrift.report.results import RecordResult
+
+SHOWN_S = 0.5
+"""Between two pictures on the terminal."""
+BUILD = "build"
+LINES = "columns below a header (or --columns), JSON objects, or NAME=VALUE pairs"
+MESSAGES = "messages of ROS 2 or JSON with numbers in them"
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """The options of `record`; the command's help explains each."""
+
+    out: Path | None
+    recover_file: Path | None
+    used_file: Path | None
+    columns: str | None
+    dbc: Path | None
+    period: float | None
+    hold: float | None
+    seconds: float | None
+    log: int | None
+    until_enough: bool
+
+
+@click.command()
+@click.argument("source", required=False)
+@directory_option
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The log: a new file, .parquet.",
+)
+@click.option(
+    "--columns",
+    metavar="NAMES",
+    help="Names of the columns, with commas between, where the source sends numbers alone.",
+)
+@click.option(
+    "--dbc",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="What the frames of a CAN bus mean.",
+)
+@click.option(
+    "--period",
+    type=click.FloatRange(0.001, 86_400.0),
+    help="Seconds between rows of CAN, MQTT and MCAP (default: the project's period, or 1).",
+)
+@click.option(
+    "--hold",
+    type=click.FloatRange(0.001, 864_000.0),
+    help="How long a CAN, MQTT or MCAP value counts without a newer one (default: 5 periods).",
+)
+@click.option("--seconds", type=click.FloatRange(0.1), help="End after so long.")
+@click.option(
+    "--log", type=click.IntRange(1), help="Which log of the last plan this is (default: the first)."
+)
+@click.option("--until-enough", is_flag=True, help="End once everything wanted is covered.")
+@click.option(
+    "--recover",
+    "recover_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Finish the file of a recording that was cut off.",
+)
+@click.option(
+    "--use",
+    "used_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Name a recorded log under [logs] train of the project.",
+)
+@json_option
+@packed(RecordOptions)
+def command(source: str | None, directory: Path, as_json: bool, options: RecordOptions) -> None:
+    """Record a log from SOURCE, showing what it covers and what is still missing.
+
+    \b
+    SOURCE  serial:/dev/ttyUSB0@115200       lines of a serial port
+            can:socketcan:can0 --dbc FILE    signals of a CAN bus
+            mqtt:localhost/chamber/#         topics of an MQTT broker
+            mcap:bag/bag_0.mcap#/ft/wrench   topics of an MCAP file that is being written
+            'command:PROGRAM ARGUMENTS'      lines that a program prints
+            -                                lines of standard input
+
+    A line is a row: columns below a header, a JSON object, or NAME=VALUE pairs. Beside the values
+    stand time_s, since the first row, and clock_s, Unix time, unless the source sends a time. What
+    should be covered comes from the last `zerodrift plan`, or from [experiment]. Ctrl-C ends it.
+    """
+    if options.recover_file is not None:
+        finish(directory, options.recover_file)
+        return
+    if options.used_file is not None:
+        from zerodrift.tasks.recording import use_log
+
+        name = use_log(directory, options.used_file)
+        click.echo(f"zerodrift.toml: [logs] train names {name} now")
+        return
+    if source is None or options.out is None:
+        raise click.UsageError("expected SOURCE --out FILE, --recover FILE, or --use FILE")
+    result = record(source, directory, options, options.out, as_json)
+    if as_json:
+        print_result(result)
+    else:
+        print_record(result)
+
+
+def finish(directory: Path, log: Path) -> None:
+    """Finish the file of a recording that was cut off, and say so.
+
+    Raises:
+        InputError: there is none, or it is still being recorded.
+    """
+    from zerodrift.recording.keep import recover
+    from zerodrift.recording.status import end_status
+
+    rows = recover(log)
+    end_status(directory / BUILD, log)
+    click.echo(f"{log}: {rows} rows, whole again")
+
+
+def record(
+    source: str, directory: Path, options: RecordOptions, out: Path, as_json: bool
+) -> "RecordResult":
+    """Record until the end; return a summary of the recording.
+
+    Raises:
+        InputError: the source cannot be opened, the file cannot be written, or the options are
+            wrong. Rows recorded before are kept.
+    """
+    from zerodrift.base.config import load_config
+    from zerodrift.recording.coverage import Coverage
+    from zerodrift.recording.keep import Keeper
+    from zerodrift.recording.open_source import open_source
+    from zerodrift.recording.recorder import Recording, RowRules, check_rules
+    from zerodrift.recording.status import telling_status
+    from zerodrift.report.results import RecordResult
+    from zerodrift.tasks.recording import explain_taught, find_wanted, list_read
+
+    config = load_config(directory) if (directory / "zerodrift.toml").is_file() else None
+    wanted = find_wanted(config, options.log)
+    if options.until_enough and not wanted.why:
+        raise InputError(
+            "--until-enough: nothing says what is enough; expected a plan or ranges under "
+            "[experiment]. Run: zerodrift plan"
+        )
+    names = tuple(name.strip() for name in (options.columns or "").split(",") if options.columns)
+    period_s = options.period or (config.sample_period_s if config else 1.0)
+    rules = RowRules(
+        time_column=config.time_column if config else "time_s",
+        period_s=period_s,
+        hold_s=options.hold or 5.0 * period_s,
+        most_s=options.seconds,
+        until_enough=options.until_enough,
+    )
+    check_rules(rules)
+    coverage = Coverage(config.temperature_column if config else "temperature_degC", wanted)
+    began_s = time.monotonic()
+    build = config.build_directory if config else None
+    with (
+        ending_softly() as ending,
+        telling_status(build, out, source, coverage, wanted.why) as telling,
+        Keeper(out) as keeper,
+    ):
+        opened = open_source(source, names, options.dbc, list_read(config))
+        try:
+            recorder = Recording(opened, keeper, coverage, rules)
+            with open_picture(quiet=as_json) as show:
+                interrupted = recorder.run(telling(show), ending.wait_for_it)
+        finally:
+            opened.close()
+    notes = opened.list_strays()
+    if recorder.backwards:
+        notes.append(
+            f"{recorder.backwards} readings were left out: the source's own time ran backwards "
+            "there"
+        )
+    covered = coverage.describe()
+    if not covered.rows:
+        told = f" {'; '.join(notes)}." if notes else ""
+        expected = MESSAGES if opened.has_times else LINES
+        raise InputError(
+            f"{source}: no row came in {time.monotonic() - began_s:.0f} s; expected {expected}."
+            f"{told} No file was written."
+        )
+    return RecordResult(
+        **vars(covered),
+        file=str(out),
+        source=source,
+        interrupted=interrupted,
+        why=wanted.why,
+        notes=tuple(notes),
+        taught=tuple(explain_taught(config, out)) if config else (),
+    )
+
+
+class Ending:
+    """Whether Ctrl-C was pressed, or the system asked to end."""
+
+    def __init__(self) -> None:
+        self._waits = self._asked = False
+
+    def wait_for_it(self) -> bool:
+        """Return whether it was asked for; from the first call on, a signal is no exception."""
+        self._waits = True
+        return self._asked
+
+    def take_signal(self, *_: object) -> None:
+        """Remember that it was asked for; asked again, or before anybody waits, end at once."""
+        if self._asked or not self._waits:
+            raise KeyboardInterrupt
+        self._asked = True
+
+
+@contextmanager
+def ending_softly() -> Iterator[Ending]:
+    """Within this context, Ctrl-C and SIGTERM end a recording between two rows."""
+    ending = Ending()
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, ending.take_signal) for kind in kinds]
+    try:
+        yield ending
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
+
+
+@contextmanager
+def open_picture(*, quiet: bool) -> Iterator["Show"]:
+    """Yield a function that shows a recording: a table on a terminal, else a line, or nothing."""
+    shown_s = 0.0
+
+    def at_times(draw: Callable[["Covered", str], None]) -> "Show":
+        def show(covered: "Covered", silent: str) -> None:
+            nonlocal shown_s
+            if time.monotonic() - shown_s >= SHOWN_S:
+                shown_s = time.monotonic()
+                draw(covered, silent)
+
+        return show
+
+    if is_watched() and not quiet:
+        from rich.live import Live
+
+        with Live(console=open_terminal(stderr=True), transient=True, auto_refresh=False) as live:
+            yield at_times(
+                lambda covered, silent: live.update(draw_covered(covered, silent), refresh=True)
+            )
+        return
+    with open_text_progress() as say:
+        if say is None:
+            yield lambda *_: None
+            return
+        yield at_times(lambda covered, silent: say(tell_covered(covered, silent)))
+
+
+def tell_covered(covered: "Covered", silent: str) -> str:
+    """Return a recording so far in one line."""
+    from zerodrift.recording.summary import explain_missing
+
+    missing = explain_missing(covered)
+    parts = [f"{covered.rows} rows, {covered.seconds:.0f} s", silent, *missing[:2]]
+    return "; ".join(part for part in parts if part)
+
+
+def draw_covered(covered: "Covered", silent: str) -> "Table":
+    """Return a recording so far as a table of wanted and covered ranges."""
+    title = f"{covered.rows} rows, {covered.seconds:.0f} s" + (f"; {silent}" if silent else "")
+    if covered.enough:
+        title += "; enough: Ctrl-C ends it"
+    table = open_table(
+        title, ("column",), ("now", "lowest", "highest", "wanted", "covered", "no reading")
+    )
+    wanted = {one.what: one for one in covered.wanted}
+    for column in covered.columns:
+        table.add_row(
+            column.name,
+            *(write_number(value) for value in (column.last, column.low, column.high)),
+            *write_wanted(wanted.pop(column.name, None)),
+            str(column.missing or ""),
+        )
+    for one in wanted.values():
+        table.add_row(
+            f"{one.what} {one.unit}", "", "", write_number(one.high), *write_wanted(one), ""
+        )
+    return table
+
+
+def write_wanted(one: "CoveredRange | None") -> tuple[str, str]:
+    """Return the wanted range and the share of it that is covered, as text."""
+    if one is None:
+        return "", ""
+    span = f"{one.wanted_low:.6g} .. {one.wanted_high:.6g}"
+    return span, f"{100.0 * one.share:.0f} %" + ("" if one.enough else " *")
+
+
+def write_number(value: float | None) -> str:
+    """Return a number as a table shows it."""
+    return "-" if value is None else f"{value:.7g}"
+
+
+def print_record(result: "RecordResult") -> None:
+    """Print what was recorded, what is still missing, and what can now be learnt from the logs."""
+    from zerodrift.recording.summary import explain_missing
+
+    console = open_console()
+    for note in result.notes:
+        click.echo(f"note: {note}", err=True)
+    console.print(draw_covered(result, ""))
+    console.print(
+        f"Wrote {result.file}: {result.rows} rows, {result.seconds:.0f} s", soft_wrap=True
+    )
+    missing = explain_missing(result)
+    if missing:
+        console.print(f"\nStill to record, by {result.why}:")
+        for sentence in missing:
+            console.print(f"  {sentence}")
+    elif result.wanted:
+        console.print(f"All that {result.why} asks for is covered.")
+    if result.taught:
+        console.print("\nWhat the logs can teach now:")
+        for sentence in result.taught:
+            console.print(f"  {sentence}")

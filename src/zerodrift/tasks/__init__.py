@@ -1,0 +1,1 @@
+"""One module per use case: a request in, a frozen result out; no click, no print."""
