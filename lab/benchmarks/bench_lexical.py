@@ -22,8 +22,7 @@ from benchmarks.mutants.lexical import draw_lexical
 from benchmarks.mutants.oracle import CHIP_BUILDS, Build, Oracle
 from benchmarks.mutants.subjects import MODELS, Subject, draw_subject, make_folder
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.prove import list_shown
-from zerodrift.verify.prove_parts import OPEN
+from zerodrift_proof import OPEN, list_shown, read_model
 
 BUILDS = (
     Build("gnu99"),
@@ -70,7 +69,7 @@ def ask_certificate_of(subject: Subject, texts: dict[str, str]) -> tuple[str, st
 
 def ask_proof_of(model: IntegerModel, texts: dict[str, str]) -> tuple[str, str]:
     """Return accepted or refused, and why, by the proof."""
-    for one in list_shown(model, texts):
+    for one in list_shown(read_model(model.to_json()), texts):
         if one.verdict == OPEN:
             return "refused", one.why
     return "accepted", ""

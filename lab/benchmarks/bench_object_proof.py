@@ -25,12 +25,14 @@ from benchmarks.bench_copies import bound as bound_rate
 from benchmarks.object_oracle import KernelChip, draw_given
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
-from zerodrift.verify.object_image import Image, Kernel, read_image
-from zerodrift.verify.object_kernels import prove_kernel
-from zerodrift.verify.object_proof import BUILDS, build_program
-from zerodrift.verify.prove_kernels import Numbered
-from zerodrift.verify.prove_specification import Specification
-from zerodrift.verify.prove_terms import Terms
+from zerodrift.verify.proof import build_program
+from zerodrift_proof import read_model
+from zerodrift_proof.equality.kernels import Numbered
+from zerodrift_proof.equality.specification import Specification
+from zerodrift_proof.equality.terms import Terms
+from zerodrift_proof.object.image import Image, Kernel, read_image
+from zerodrift_proof.object.kernels import prove_kernel
+from zerodrift_proof.object.program import BUILDS
 
 SUBJECTS = (
     ("ordinary", 0), ("reset_before", 0), ("int8", 0), ("lstm", 0), ("ordinary", 2),
@@ -82,7 +84,7 @@ def make_subject(name: str, number: int, folder: Path) -> Subject:
     texts |= {code.header_name: code.header, code.source_name: code.source}
     folder.mkdir()
     image = read_image(build_program(texts, code.prefix, len(model.outputs), build, folder))
-    layer = next(iter(Specification(Terms(), model).layers.layers.values()))
+    layer = next(iter(Specification(Terms(), read_model(model.to_json())).layers.layers.values()))
     (kernel,) = image.find_kernels(layer.name)
     form = ", small table" if build.small else ""
     return Subject(f"{name}, {build.core}{form}", build.core, image, kernel, layer)

@@ -30,8 +30,7 @@ from benchmarks.random_models import draw_case
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.prove import list_shown
-from zerodrift.verify.prove_parts import OPEN, ShownPart
+from zerodrift_proof import OPEN, ShownPart, list_shown, read_model
 
 KINDS = tuple(kind for kind in OPERATORS if kind != "assembly")
 UNBUILT = "does not compile"
@@ -59,7 +58,7 @@ def prove_models(count: int, seed: int, first: int = 0) -> bool:
         code = generate(case.model)
         texts = {**runtime, code.header_name: code.header, code.source_name: code.source}
         began = time.process_time()
-        shown = tuple(list_shown(case.model, texts))
+        shown = tuple(list_shown(read_model(case.model.to_json()), texts))
         seconds.append(time.process_time() - began)
         left = [one for one in shown if one.verdict == OPEN]
         sorts[case.sort] += 1
@@ -130,7 +129,7 @@ def _try(oracle: Oracle, model: IntegerModel, subject: Subject, mutant: Mutant) 
     if kind == UNBUILT:
         return kind, False
     texts = {**subject.files, mutant.file: mutant.text}
-    proven = all(one.verdict != OPEN for one in list_shown(model, texts))
+    proven = all(one.verdict != OPEN for one in list_shown(read_model(model.to_json()), texts))
     if proven and kind in HARMLESS:
         kind = oracle.judge(*told, bit_suffices=True).kind
     return kind, proven

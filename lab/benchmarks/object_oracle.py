@@ -13,8 +13,8 @@ from unicorn.arm_const import (
 )
 
 from zerodrift.c_runtime.chip import PAGE, make_chip
-from zerodrift.verify.object_image import Image, Kernel
-from zerodrift.verify.prove_kernels import CELL_LIMIT, H_LIMIT_Q30, Numbered
+from zerodrift_proof.equality.kernels import CELL_LIMIT, H_LIMIT_Q30, Numbered
+from zerodrift_proof.object.image import Image, Kernel
 
 STATE, CELLS, FEATURES, STACK, STOP = (
     0x8000_0000,

@@ -26,6 +26,7 @@ from zerodrift.verify.host_check import check_host
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
+from zerodrift_proof import OPEN, list_shown, read_model
 from zerodrift_proof.certificate.check import CertificateOutcome, compare
 
 PERIOD_S, SEED = 0.5, 5
@@ -38,9 +39,19 @@ def quantize_nodes(nodes: Sequence[Node]) -> IntegerModel:
 
 def derive_again(model: IntegerModel, code: GeneratedCode) -> CertificateOutcome:
     """Return what becomes of the claims of a model's certificate about some C of it."""
+    return compare(json.loads(certify(model, code)), list_texts(code))
+
+
+def list_texts(code: GeneratedCode) -> dict[str, str]:
+    """Return a model's C with the runtime: file name -> content."""
     texts = {code.header_name: code.header, code.source_name: code.source}
-    texts |= {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
-    return compare(json.loads(certify(model, code)), texts)
+    return texts | {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
+
+
+def list_unproven(model: IntegerModel, code: GeneratedCode) -> list[str]:
+    """Return what of some C is not shown to be what the specification says of a model."""
+    shown = list_shown(read_model(model.to_json()), list_texts(code))
+    return [f"{one.what}: {one.why}" for one in shown if one.verdict == OPEN]
 
 
 def check_everywhere(
@@ -49,7 +60,8 @@ def check_everywhere(
     """Return the integer model of at most four nodes over the inputs x0 and x1.
 
     Float and integers agree within `largest_error` beside the rounding of the outputs; reference,
-    C, integer ONNX and emulated cores to the bit; and the certificate is derived again from the C.
+    C, integer ONNX and emulated cores to the bit; the certificate is derived again from the C, and
+    the C is proven to be what the proof knows of the operations.
     """
     codes, model = draw_codes(SEED), quantize_nodes(nodes)
     inputs = {f"x{i}": codes[:, i] * lsb for i, lsb in enumerate(LSBS)}
@@ -67,6 +79,7 @@ def check_everywhere(
             assert check.mismatch is None, f"{name}: {check.mismatch}"
     outcome = derive_again(model, code)
     assert outcome.understood and not outcome.failures, outcome.failures
+    assert not list_unproven(model, code)
     for core in cores:
         check_chip(core, code, host, {"noise": sequences["noise"]}, folder / core)
     return model

@@ -12,13 +12,16 @@ from zerodrift import operations
 from zerodrift.codegen.generate import make_environment
 from zerodrift.operations import registry
 from zerodrift.operations.node import IntegerNode
+from zerodrift_proof.equality import operations as meanings
+from zerodrift_proof.equality.node import Node
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/write-an-operation.md"
 HOME = "src/zerodrift/operations"
+PROOF = "proof/zerodrift_proof/equality/operations"
 FILE = re.compile(r"^`([\w/]+\.\w+)`:\n\n```\w+\n(.*?)^```$", re.M | re.S)
 KNOWN = ("OPERATIONS", "NODE_CLASSES", "FOLDERS", "FILTERS")
-STATELESS, STATEFUL = 3, 4
-"""Files at most: the folder's, a rule of the checker's, and a test."""
+STATELESS, STATEFUL = 4, 5
+"""Files at most: the folder's, the meaning for the proof, a rule of the checker's, and a test."""
 
 
 @pytest.fixture
@@ -32,6 +35,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str,
     monkeypatch.setattr(operations, "__path__", own)
     before = {name: dict(getattr(registry, name)) for name in KNOWN}
     registry.find_operations()
+    monkeypatch.setattr(meanings, "__path__", [str(tmp_path / PROOF), *meanings.__path__])
+    known = dict(meanings.KINDS)
+    meanings.find_operations()
     make_environment.cache_clear()
     yield texts
     make_environment.cache_clear()
@@ -41,6 +47,8 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str,
         table.update(before[name])
     for folder in {name.split("/")[3] for name in texts if name.startswith(HOME)}:
         del sys.modules[f"{operations.__name__}.{folder}"]
+    for kind in meanings.KINDS.keys() - known.keys():
+        del meanings.KINDS[kind], sys.modules[f"{meanings.__name__}.{kind}"]
 
 
 def test_the_page_s_operations_are_the_same_everywhere(
@@ -54,11 +62,12 @@ def test_the_page_s_operations_are_the_same_everywhere(
 
 
 def test_an_operation_is_no_more_files_than_the_page_says(files: dict[str, str]) -> None:
-    shared = 2  # the test, and a rule of the checker's
+    shared = 3  # the test, the meaning for the proof, and a rule of the checker's
     folders = [name.split("/")[3] for name in files if name.startswith(HOME)]
     for folder in set(folders):
         stateful = registry.NODE_CLASSES[folder].rest is not IntegerNode.rest
         assert folders.count(folder) + shared == (STATEFUL if stateful else STATELESS)
+        assert f"{PROOF}/{folder}.py" in files
     for name in ("maximum", "minimum"):
         own = [p for p in (PAGE.parents[2] / HOME / name).iterdir() if p.is_file()]
         assert len(own) + shared == STATELESS
@@ -66,6 +75,9 @@ def test_an_operation_is_no_more_files_than_the_page_says(files: dict[str, str])
 
 def test_the_page_names_every_face() -> None:
     page = PAGE.read_text(encoding="utf-8")
+    own = {name for name in vars(Node) if not name.startswith("_")}
+    for name in own - {"reads_drift", "numbered", "streams", "give_at_rest"}:
+        assert f"`{name}`" in page, name
     faces = {name for name in vars(IntegerNode) if not name.startswith("_")}
     for name in faces - {"attributes", "width", "stateful", "reads_drift", "idle", "elapse"}:
         assert f"`{name}`" in page, name

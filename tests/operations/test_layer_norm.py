@@ -10,6 +10,7 @@ from benchmarks.bench_layer_norm import EPSILONS, MARK_PCT, VECTORS, WIDTHS, mea
 from tests.certificate.test_check import list_texts
 from tests.fixed_point.accumulators import recompute, record_sequences
 from tests.golden.model_factory import Shape, draw_model
+from tests.prove.models import prove
 
 from zerodrift.base.errors import CheckError, NoRuleError
 from zerodrift.codegen.generate import generate
@@ -27,8 +28,7 @@ from zerodrift.operations.layer_norm import (
     list_constants,
 )
 from zerodrift.operations.signals import Real
-from zerodrift.verify.prove import prove
-from zerodrift.verify.prove_parts import OPEN
+from zerodrift_proof.equality.parts import OPEN
 
 SHAPE = Shape(inputs=3, layered=(("gru", 5, (0,)), ("norm", 5, (1,))), code_limit=12000)
 CODES = Interval(-32768 << 15, 32767 << 15)

@@ -6,12 +6,13 @@ import pytest
 from benchmarks.mutants.subjects import draw_subject
 
 from tests.golden.vectors import load
+from tests.prove.models import as_read
 from tests.prove.test_reading import Texts, add_runtime
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify.prove import BUILDS
-from zerodrift.verify.prove_build import Proof
-from zerodrift.verify.prove_parts import OPEN
+from zerodrift_proof.equality.build import Proof
+from zerodrift_proof.equality.parts import OPEN
+from zerodrift_proof.equality.prove import BUILDS
 
 WHAT = ("header", "struct of the inputs", "struct of the state")
 
@@ -30,7 +31,7 @@ def tell(name: str, before: str = "", after: str = "", every: bool = False) -> l
     for file in (f"{prefix}.h", f"{prefix}.c") if every else (f"{prefix}.h",):
         assert before in texts[file]
         texts[file] = texts[file].replace(before, after)
-    proof = Proof(model, texts, prefix, *BUILDS[0])
+    proof = Proof(as_read(model), texts, prefix, *BUILDS[0])
     shown = [one for one, _ in zip(proof.run(), WHAT, strict=False)]
     return [f"{one.what}: {one.why}" for one in shown if one.verdict == OPEN]
 

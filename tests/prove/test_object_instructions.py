@@ -18,8 +18,8 @@ from tests.prove.instructions import (
     draw_long,
     make_terms,
 )
-from zerodrift.verify.object_code import decode
-from zerodrift.verify.prove_terms import UndecidedError
+from zerodrift_proof.equality.terms import UndecidedError
+from zerodrift_proof.object.code import decode
 
 
 @pytest.fixture(scope="module")

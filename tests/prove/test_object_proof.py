@@ -10,22 +10,20 @@ from benchmarks import bench_object_proof
 from benchmarks.bench_object_proof import SUBJECTS, Subject, make_subject, plant
 
 from tests.golden.vectors import load
+from tests.prove.models import as_read
 from tests.prove.test_proof import write
-from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
-from zerodrift.verify.object_image import Image, read_image
-from zerodrift.verify.object_proof import (
+from zerodrift.verify.proof import PROGRAM, build_program, prove_model
+from zerodrift_proof.equality.kernels import Layers
+from zerodrift_proof.equality.parts import PROVEN, TESTED
+from zerodrift_proof.equality.specification import Specification
+from zerodrift_proof.equality.terms import Terms
+from zerodrift_proof.object.image import Image, ProgramError, read_image
+from zerodrift_proof.object.program import (
     BUILDS,
-    PROGRAM,
-    build_program,
     check_program,
     show_program,
 )
-from zerodrift.verify.prove import list_shown
-from zerodrift.verify.prove_kernels import Layers
-from zerodrift.verify.prove_parts import PROVEN, TESTED
-from zerodrift.verify.prove_specification import Specification
-from zerodrift.verify.prove_terms import Terms
 
 pytestmark = pytest.mark.skipif(
     not find_cross_compilers("cortex-m4"), reason="needs the ziglang wheel"
@@ -39,7 +37,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
 
 @cache
 def make_layers(name: str) -> Layers:
-    layers = Specification(Terms(), load(name).model).layers
+    layers = Specification(Terms(), as_read(load(name).model)).layers
     for layer in layers.layers.values():
         for relaxing in (False, True):
             layers.given[layer.name, relaxing] = [(-32768, 32767)] * layer.inputs
@@ -59,7 +57,7 @@ def test_golden_kernels_are_proven(name: str, number: int, tmp_path: Path) -> No
 
 def test_every_way_to_build_the_assembly_is_proven() -> None:
     model = load("odd_hidden").model
-    shown = tuple(list_shown(model, write(model), objects=True))
+    shown = tuple(prove_model(model, write(model)))
     kernels = [one for one in shown if one.what == "kernels of recurrent layers"]
     assembly = [one for one in kernels if "ASSEMBLY" in one.build]
     assert len(assembly) == 6
@@ -177,9 +175,9 @@ def test_what_is_no_such_program_is_told(program: Path, tmp_path: Path) -> None:
         (loose, "is not linked"),
         (stripped, "it was stripped"),
     ):
-        with pytest.raises(InputError, match=why):
+        with pytest.raises(ProgramError, match=why):
             check_program(path, source)
-    with pytest.raises(InputError, match="no kernel in assembly"):
+    with pytest.raises(ProgramError, match="no kernel in assembly"):
         check_program(program, write(load("int8_before").model)["golden.c"])
     c_only = tmp_path / "c_only"
     c_only.mkdir()
@@ -187,7 +185,7 @@ def test_what_is_no_such_program_is_told(program: Path, tmp_path: Path) -> None:
         **write(model),
         "zd_runtime.h": "#define ZD_NO_ASSEMBLY\n" + write(model)["zd_runtime.h"],
     }
-    with pytest.raises(InputError, match="holds no gru_assembly"):
+    with pytest.raises(ProgramError, match="holds no gru_assembly"):
         check_program(build_program(texts, "golden", len(model.outputs), BUILDS[0], c_only), source)
 
 

@@ -5,10 +5,11 @@ import re
 import pytest
 
 from tests.golden.vectors import load
+from tests.prove.models import as_read
 from zerodrift.codegen.generate import generate
-from zerodrift.verify.prove_packing import pack_assembly
-from zerodrift.verify.prove_specification import Specification
-from zerodrift.verify.prove_terms import Terms
+from zerodrift_proof.equality.packing import pack_assembly
+from zerodrift_proof.equality.specification import Specification
+from zerodrift_proof.equality.terms import Terms
 
 
 @pytest.mark.parametrize(
@@ -17,7 +18,7 @@ from zerodrift.verify.prove_terms import Terms
 def test_the_stream_of_each_layer_is_that_of_the_c(name: str) -> None:
     model = load(name).model
     source = generate(model).source
-    layers = Specification(Terms(), model).layers.layers
+    layers = Specification(Terms(), as_read(model)).layers.layers
     assert layers
     for layer in layers.values():
         tables = re.findall(rf"{layer.name}_stream\[\d+\] = \{{[^\n]*\n([-\d,\s]*)\}}", source)

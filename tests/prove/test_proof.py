@@ -8,15 +8,16 @@ from benchmarks.mutants.subjects import draw_subject
 
 from tests.golden.models import CASES
 from tests.golden.vectors import load
+from tests.prove.models import as_read, prove
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
 from zerodrift.codegen.names import name_prefix
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.verify import prove_paths
-from zerodrift.verify.object_proof import ProvenKernels
-from zerodrift.verify.prove import is_proven, prove
-from zerodrift.verify.prove_parts import OPEN, TESTED, ShownPart
-from zerodrift.verify.prove_ways import show_kernels
+from zerodrift_proof import is_proven
+from zerodrift_proof.equality import paths
+from zerodrift_proof.equality.parts import OPEN, TESTED, ShownPart
+from zerodrift_proof.equality.ways import show_kernels
+from zerodrift_proof.object.program import ProvenKernels
 
 Texts = dict[str, str]
 GUARDED = ("ordinary", "effects", "no_reading", "lstm")
@@ -63,7 +64,7 @@ def show_rows(name: str, pattern: str = "", becomes: str = "") -> list[ShownPart
     prefix = name_prefix(model)
     texts[f"{prefix}.c"], count = re.subn(pattern, becomes, texts[f"{prefix}.c"], count=1)
     assert count == 1
-    shown = show_kernels(model, texts, prefix, ProvenKernels(), small=True)
+    shown = show_kernels(as_read(model), texts, prefix, ProvenKernels(), small=True)
     return [one for one in shown if "KERNEL_ROWS" in one.build]
 
 
@@ -174,7 +175,7 @@ HEADER = {
 
 
 def test_a_self_test_without_an_end_is_not_proven(monkeypatch) -> None:
-    monkeypatch.setattr(prove_paths, "MOST_STATEMENTS", 60_000)
+    monkeypatch.setattr(paths, "MOST_STATEMENTS", 60_000)
     model = load("ordinary").model
     texts = write(model)
     source = f"{name_prefix(model)}.c"

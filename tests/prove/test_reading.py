@@ -13,11 +13,11 @@ from tests.golden.models import CASES
 from tests.golden.vectors import load
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import GeneratedCode, generate
-from zerodrift.verify.prove import BUILDS
-from zerodrift.verify.prove_parser import parse_all
-from zerodrift.verify.prove_reader import preprocess
-from zerodrift.verify.prove_tokens import RefusedError, split
-from zerodrift.verify.prove_ways import list_ways
+from zerodrift_proof.equality.parser import parse_all
+from zerodrift_proof.equality.prove import BUILDS
+from zerodrift_proof.equality.reader import preprocess
+from zerodrift_proof.equality.tokens import RefusedError, split
+from zerodrift_proof.equality.ways import list_ways
 from zerodrift_proof.known_runtime import is_known
 
 Texts = dict[str, str]

@@ -6,12 +6,13 @@ from benchmarks.random_models import draw_case
 
 from tests.golden.models import CASES
 from tests.golden.vectors import load
+from tests.prove.models import as_read
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.verify.prove_specification import Specification
-from zerodrift.verify.prove_state import State
-from zerodrift.verify.prove_terms import Terms, Whole
+from zerodrift_proof.equality.specification import Specification
+from zerodrift_proof.equality.state import State
+from zerodrift_proof.equality.terms import Terms, Whole
 
 STEPS = 30
 
@@ -20,7 +21,7 @@ class Runner:
     """The specification on known codes: every term is a number."""
 
     def __init__(self, model: IntegerModel) -> None:
-        self.meaning = Specification(Terms(), model)
+        self.meaning = Specification(Terms(), as_read(model))
         self.model, self.state = model, self.meaning.blank()
 
     def start(self, raw: list[int], settled: bool) -> None:

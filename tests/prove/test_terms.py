@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from zerodrift.verify.object_words import WordTerms
-from zerodrift.verify.prove_terms import Terms, UndecidedError, Whole
+from zerodrift_proof.equality.terms import Terms, UndecidedError, Whole
+from zerodrift_proof.object.words import WordTerms
 
 LOW, HIGH = -9, 9
 

@@ -11,6 +11,7 @@ import pytest
 from tests.blocks.units import describe_unit
 from tests.golden.vectors import load
 from tests.projects import render_toml
+from tests.prove.models import prove
 from tests.variable_step.models import make_model
 from tests.verify.conftest import Agreed, write_firmware
 from zerodrift.base.config import load_config, parse_config
@@ -33,11 +34,10 @@ from zerodrift.verify.certificate import certify, certify_design
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
-from zerodrift.verify.prove import prove
-from zerodrift.verify.prove_parts import OPEN, PROVEN
 from zerodrift.verify.replay import replay
 from zerodrift.verify.vectors import draw_sequences
 from zerodrift_proof.certificate.check import compare
+from zerodrift_proof.equality.parts import OPEN, PROVEN
 
 NAMES = ("no_reading", "no_reading, guarded", "effects", "variable step, guarded")
 

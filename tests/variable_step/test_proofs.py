@@ -5,15 +5,15 @@ import json
 
 import pytest
 
+from tests.prove.models import prove
 from tests.variable_step.models import make_model
 from zerodrift.c_runtime.host import render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.prove import prove
-from zerodrift.verify.prove_parts import OPEN, PROVEN, TESTED
 from zerodrift_proof.certificate.check import CertificateOutcome, compare
+from zerodrift_proof.equality.parts import OPEN, PROVEN, TESTED
 
 MODEL = make_model()
 CODE = generate(MODEL)

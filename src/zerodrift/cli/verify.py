@@ -150,9 +150,8 @@ def _prove(config: "Config", as_json: bool, elf: Path | None) -> None:
     from zerodrift.cli.console import show_progress
     from zerodrift.export.model_files import load_model
     from zerodrift.report.results import ProofResult, ProvenPart
-    from zerodrift.verify.prove import is_proven, list_shown
-    from zerodrift.verify.prove_parts import OPEN, TESTED
-    from zerodrift.verify.prove_reader import SYSTEM
+    from zerodrift.verify.checkers import OPEN, SYSTEM, TESTED, is_proven
+    from zerodrift.verify.proof import prove_model
     from zerodrift.verify.replay import read_code
 
     model = load_model(config.build_directory / "model.json")
@@ -161,7 +160,7 @@ def _prove(config: "Config", as_json: bool, elf: Path | None) -> None:
     # a compiler that searches the folder first would take these for C's own
     hiding = {name: "" for name in SYSTEM if (config.firmware_out / name).exists()}
     with show_progress("proving") as say:
-        shown = tuple(list_shown(model, texts | hiding, say, objects=True, program=elf))
+        shown = prove_model(model, texts | hiding, say, elf)
     proven = is_proven(shown)
     if as_json:
         parts = tuple(ProvenPart(one.what, one.build, one.verdict, one.why) for one in shown)

@@ -10,11 +10,22 @@ from zerodrift.base.errors import InputError
 
 try:
     from zerodrift_proof import (
+        OPEN,
+        SYSTEM,
+        TESTED,
+        BuildError,
         CertificateClaims,
         CertificateOutcome,
+        NoCompilerError,
+        ObjectBuild,
+        ProgramError,
+        ShownPart,
         check_certificate,
         is_known,
+        is_proven,
+        list_shown,
         read_claims,
+        read_model,
     )
 except ModuleNotFoundError as error:
     if error.name != "zerodrift_proof":
@@ -25,9 +36,20 @@ except ModuleNotFoundError as error:
     ) from error
 
 __all__ = [
+    "OPEN",
+    "SYSTEM",
+    "TESTED",
+    "BuildError",
     "CertificateClaims",
     "CertificateOutcome",
+    "NoCompilerError",
+    "ObjectBuild",
+    "ProgramError",
+    "ShownPart",
     "check_certificate",
     "is_known",
+    "is_proven",
+    "list_shown",
     "read_claims",
+    "read_model",
 ]

@@ -1,0 +1,1 @@
+"""C equals the specification: both are run over terms, for every input and state."""

@@ -1,0 +1,166 @@
+"""What an operation says of itself to the proof: its numbers, ranges, fields, rest and step.
+
+Every operation is a module in `operations/`, written from docs/reference/integer-arithmetic.md.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+from zerodrift_proof.equality.kernels import Layers, Numbered, TermArithmetic
+from zerodrift_proof.equality.terms import Terms, Whole
+
+State = dict[str, list[Whole]]
+"""Field of the C's state -> its numbers."""
+Values = Mapping[str, list[Whole]]
+"""Node -> what it gives; of a scalar one number."""
+DRIFT = "drift"
+"""The state's field of the drift that the step before gave, where some node reads it."""
+
+
+class Ends(NamedTuple):
+    """The range of a whole number, both ends included."""
+
+    low: int
+    high: int
+
+    def plus(self, other: "Ends") -> "Ends":
+        """Return the range of a sum."""
+        return Ends(self.low + other.low, self.high + other.high)
+
+    def minus(self, other: "Ends") -> "Ends":
+        """Return the range of a difference of independent numbers."""
+        return Ends(self.low - other.high, self.high - other.low)
+
+    def times(self, other: "Ends") -> "Ends":
+        """Return the range of a product of independent numbers."""
+        corners = [a * b for a in self for b in other]
+        return Ends(min(corners), max(corners))
+
+    def scale(self, factor: int) -> "Ends":
+        """Return the range of the number times a factor."""
+        return self.times(Ends(factor, factor))
+
+    def shift(self, by: int) -> "Ends":
+        """Return the range of the number >> by."""
+        return Ends(self.low >> by, self.high >> by)
+
+    def round_shift(self, by: int) -> "Ends":
+        """Return the range of round_shift(number, by)."""
+        half = 1 << by >> 1
+        return Ends(self.low + half, self.high + half).shift(by)
+
+    def saturate(self, low: int, high: int) -> "Ends":
+        """Return the range of saturate(number, low, high)."""
+        return Ends(min(max(self.low, low), high), min(max(self.high, low), high))
+
+
+ANY = Ends(-(2**31), 2**31 - 1)
+"""Of a vector: no field of a state depends on more than that each number fits 32 bits."""
+
+
+def bound_dot(bias: int, factors: Sequence[int], given: Sequence[Ends]) -> Ends:
+    """Return the range of bias + sum of products."""
+    total = Ends(bias, bias)
+    for factor, one in zip(factors, given, strict=True):
+        total = total.plus(one.scale(factor))
+    return total
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of the state in C, and what a sound state holds there."""
+
+    name: str
+    type: str
+    sizes: tuple[int, ...] = ()
+    low: int | None = None
+    """None: anything."""
+    high: int | None = None
+
+    @property
+    def count(self) -> int:
+        """How many numbers it holds."""
+        count = 1
+        for size in self.sizes:
+            count *= size
+        return count
+
+
+class Meaning(TermArithmetic):
+    """What operations compute with: terms, the model's recurrent layers, the time of a step."""
+
+    def __init__(self, terms: Terms, layers: Sequence[Numbered]) -> None:
+        """Know the layers of all nodes."""
+        super().__init__(terms)
+        self.layers = Layers(terms, layers)
+        self.span = self.number(0)
+        """Of a variable step: the time since the last one."""
+
+    def select(self, table: Mapping[int, Whole], at: Whole) -> Whole:
+        """Return the table's entry at a place within its range."""
+        return self.terms.select(at, {i: table[i] for i in range(at.low, at.high + 1)})
+
+
+@dataclass(frozen=True)
+class Node:
+    """An operation of a model; a subclass has the keys of the file as its fields."""
+
+    kind: ClassVar[str]
+    """As the file calls it."""
+    reads_drift: ClassVar[bool] = False
+    """Whether a step reads the drift that the step before gave."""
+    name: str
+    inputs: tuple[str, ...]
+    """The nodes that it reads, in the order of the formulas."""
+
+    @property
+    def numbered(self) -> list[Numbered]:
+        """The recurrent layers in it, from the bottom up, named as in the C."""
+        return []
+
+    @property
+    def streams(self) -> bool:
+        """Whether recurrent layers carry their states from sample to sample."""
+        return False
+
+    def bound(self, given: Sequence[Ends]) -> Ends:
+        """Return the range of what it gives, for any inputs in theirs; `ANY` of a vector."""
+        raise NotImplementedError
+
+    def list_fields(self, given: Sequence[Ends]) -> list[Field]:
+        """Return what it has in the state, in the order of the C."""
+        return []
+
+    def rest(self, m: Meaning, values: Values, settled: bool) -> State:
+        """Return its fields at rest under the values of the nodes before it.
+
+        Args:
+            m: what to compute with.
+            values: of the nodes before it.
+            settled: after the inputs have lasted forever, or at the start.
+        """
+        return {}
+
+    def give_at_rest(
+        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
+    ) -> list[Whole]:
+        """Return what it gives under a settled state: what the nodes behind it settle under."""
+        return self.step(m, state, codes, values)[1]
+
+    def step(
+        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
+    ) -> tuple[State, list[Whole]]:
+        """Return its fields after a step, and what it gives.
+
+        Args:
+            m: what to compute with.
+            state: all fields as they were.
+            codes: the channels' codes.
+            values: of the nodes before it.
+        """
+        return {}, self.compute(m, [values[name] for name in self.inputs])
+
+    def compute(self, m: Meaning, given: Sequence[list[Whole]]) -> list[Whole]:
+        """Return what an operation without a state makes of its inputs."""
+        raise NotImplementedError

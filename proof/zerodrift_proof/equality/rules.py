@@ -1,0 +1,447 @@
+"""What functions do that are not run when C is run over terms: each is proven, or taken, apart.
+
+`zd_tanh_q30`, `zd_exp2`, `zd_power` and the recurrent kernels stand for themselves; that their C is
+what the specification says is shown in `lemmas`. CRC, save and restore are taken as they are
+documented; the runtime's text is known by its hash.
+"""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeAlias
+
+from zerodrift_proof.equality.kernels import TANH, Layers, Numbered, Power, find_exp2, find_power
+from zerodrift_proof.equality.machine import Rule, TermMachine, refuse_other_type
+from zerodrift_proof.equality.memory import AddressOf, Found, Instance, Number, Spot
+from zerodrift_proof.equality.packing import (
+    Tables,
+    pack_before,
+    pack_bytes,
+    pack_columns,
+    pack_lstm_bytes,
+    pack_pairs,
+    pack_rows,
+    pack_rows_before,
+)
+from zerodrift_proof.equality.terms import Opaque, UndecidedError, Whole
+from zerodrift_proof.equality.types import TYPES
+
+SHIFT = "shift"
+ASSEMBLY: dict[str, Callable[[Numbered], Tables]] = {
+    "zd_gru_pairs_t": pack_pairs,
+    "zd_gru_before_t": pack_before,
+    "zd_gru_bytes_t": pack_bytes,
+    "zd_lstm_pairs_t": pack_pairs,
+    "zd_lstm_bytes_t": pack_lstm_bytes,
+}
+"""Constants of a layer in assembly -> the order of its table."""
+
+
+@dataclass
+class Used:
+    """What was taken to be as the specification says, and has to be shown."""
+
+    tanh: bool = False
+    exp2: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Top -> the widest range of the exponent."""
+    powers: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Constant -> the widest range of x."""
+    norms: set[str] = field(default_factory=set)
+    """Layer normalisations."""
+    saved: list[tuple[str, bool]] = field(default_factory=list)
+    restored: int = 0
+
+
+def make_rules(prefix: str, layers: Callable[[], Layers], used: Used) -> dict[str, Rule]:
+    """Return the rules of a model's functions.
+
+    Args:
+        prefix: of the model.
+        layers: its recurrent layers, once there are terms.
+        used: is told what has to be shown.
+    """
+    rules: dict[str, Rule] = {
+        "zd_tanh_q30": lambda m, a: _tanh(m, a, used),
+        "zd_exp2": lambda m, a: _exp2(m, a, used),
+        "zd_power": lambda m, a: _power(m, a, used),
+        "zd_gru_step_after": lambda m, a: _gru(m, a, layers(), "gru"),
+        "zd_gru_step_before": lambda m, a: _gru(m, a, layers(), "gru before"),
+        "zd_lstm_step": lambda m, a: _lstm(m, a, layers()),
+        "zd_crc32_i16": partial(_crc, "int16_t"),
+        "zd_crc32_i32": partial(_crc, "int32_t"),
+        "zd_crc32_word": _crc_word,
+        "zd_save": lambda m, a: _save(m, a, prefix, used),
+        "zd_restore": lambda m, a: _restore(m, a, prefix, used),
+        "ZD_PAIR_SCRATCH": lambda m, a: _size(m, scratch_of_pairs(*map(exact, a))[0][1]),
+        "ZD_ROW_VECTORS": lambda m, a: _size(m, -(-exact(a[0]) // 8)),
+        "ZD_ROW_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 4) * 4),
+        "ZD_COLUMN_UNITS": lambda m, a: _size(m, -(-exact(a[0]) // 8) * 8),
+        "ZD_COLUMN_PAIRS": lambda m, a: _size(m, scratch_of_columns(*map(exact, a))[1][1]),
+    }
+    of_rows = ("weights", "bytes", "bias", "multiplier")
+    packed = {
+        "zd_gru_step_pairs": Packed("gru", ("stream",), pack_pairs, scratch_of_pairs),
+        "zd_gru_step_columns": Packed("gru", ("stream",), pack_columns, scratch_of_columns),
+        "zd_gru_step_rows": Packed("gru", of_rows, pack_rows, scratch_of_rows),
+        "zd_gru_step_rows_before": Packed(
+            "gru before", of_rows, pack_rows_before, scratch_of_rows_before
+        ),
+        "zd_lstm_step_rows": Packed("lstm", of_rows, pack_rows, scratch_of_rows),
+    }
+    for name, kernel in packed.items():
+        rules[name] = _make_packed(layers, kernel)
+    return rules
+
+
+Arrays: TypeAlias = list[tuple[str, int]]
+"""Of each scratch array of a kernel its type, and how many numbers it must have."""
+Scratch: TypeAlias = Callable[[int, int], Arrays]
+"""From inputs and units."""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A kernel of intrinsics, which has the weights in another order."""
+
+    kind: str
+    """Of its layers: gru | gru before | lstm."""
+    tables: tuple[str, ...]
+    """Fields of its constants."""
+    pack: Callable[[Numbered], Tables]
+    """From a layer to the tables."""
+    scratch: Scratch
+
+
+def scratch_of_pairs(inputs: int, hidden: int) -> Arrays:
+    """Return what the kernel of pairs needs where a pair takes two words."""
+    return [("int32_t", 2 * (-(-inputs // 2) - (-hidden // 2)))]
+
+
+def scratch_of_rows(inputs: int, hidden: int) -> Arrays:
+    """Return what the kernel of rows needs."""
+    return [("int16_t", 8 * (-(-inputs // 8) - (-hidden // 8)))]
+
+
+def scratch_of_rows_before(inputs: int, hidden: int) -> Arrays:
+    """Return what the same needs with the reset before the product."""
+    ((kind, count),) = scratch_of_rows(inputs, hidden)
+    return [(kind, 2 * count), ("int32_t", -(-hidden // 4) * 4)]
+
+
+def scratch_of_columns(inputs: int, hidden: int) -> Arrays:
+    """Return what the kernel of columns needs."""
+    units = -(-hidden // 8)
+    return [("int32_t", 8 * units), ("int32_t", -(-inputs // 2) + 4 * units)]
+
+
+def _size(machine: TermMachine, count: int) -> Number:
+    return machine.constant(count, "uint32_t")
+
+
+def as_number(found: Found) -> Number:
+    """Return an argument that is a number."""
+    if not isinstance(found, Number):
+        raise UndecidedError("an argument that is no number")
+    return found
+
+
+def as_place(found: Found, kind: str) -> Spot:
+    """Return an argument that points to numbers of a type."""
+    if not isinstance(found, Spot) or found.block.type != kind:
+        raise UndecidedError(f"an argument that does not point to {kind}")
+    return found
+
+
+def exact(found: Found) -> int:
+    """Return an argument that is a known number."""
+    value = as_number(found).term.exact
+    if value is None:
+        raise UndecidedError("an argument that is not known")
+    return value
+
+
+def _widen(into: dict[int, tuple[int, int]], key: int, term: Whole) -> None:
+    low, high = into.get(key, (term.low, term.high))
+    into[key] = min(low, term.low), max(high, term.high)
+
+
+def _tanh(machine: TermMachine, arguments: list[Found], used: Used) -> Found:
+    used.tanh = True
+    t = machine.convert(as_number(arguments[0]), "int32_t").term
+    return Number(machine.terms.call(TANH, [t]), "int32_t")
+
+
+def _exp2(machine: TermMachine, arguments: list[Found], used: Used) -> Found:
+    t = machine.convert(as_number(arguments[0]), "int32_t").term
+    top = exact(arguments[1])
+    if t.high >> 24 > top:
+        raise UndecidedError("an exponent above its top")
+    _widen(used.exp2, top, t)
+    return Number(machine.terms.call(find_exp2(machine.terms, top), [t]), "int32_t")
+
+
+def read_c_power(address: Found) -> tuple[str, Power]:
+    """Return the name and the numbers of a power's constants."""
+    if not isinstance(address, AddressOf) or address.of.type != "zd_power_t":
+        raise UndecidedError("no constants of a power")
+    fields = address.of.fields
+
+    def numbers(cells: Sequence[object]) -> tuple[int, ...]:
+        found = [c.exact for c in cells if isinstance(c, Whole)]
+        values = tuple(n for n in found if n is not None)
+        if len(values) != len(cells):
+            raise UndecidedError("constants of a power that are not known")
+        return values
+
+    def table(name: str) -> tuple[int, ...]:
+        place = fields[name].cells[0]
+        if not isinstance(place, Spot) or place.at.exact != 0:
+            raise UndecidedError("a table of a power that is not there")
+        return numbers(place.block.cells)
+
+    low, high, terms, shift = (
+        numbers(fields[n].cells)[0] for n in ("low", "high", "terms", "shift")
+    )
+    octave = table("octave")
+    if not 0 < terms <= len(octave):
+        raise UndecidedError(f"{terms} terms of {len(octave)}")
+    return address.of.name, Power(octave[:terms], table("gains"), low, high, shift)
+
+
+def _power(machine: TermMachine, arguments: list[Found], used: Used) -> Found:
+    name, power = read_c_power(arguments[0])
+    x = machine.convert(as_number(arguments[1]), "int32_t").term
+    low, high = used.powers.get(name, (x.low, x.high))
+    used.powers[name] = min(low, x.low), max(high, x.high)
+    known = find_power(machine.terms, name.removesuffix("_p"), power)
+    return Number(machine.terms.call(known, [x]), "int32_t")
+
+
+def _gru(machine: TermMachine, arguments: list[Found], layers: Layers, kind: str) -> Found:
+    address, inputs, hidden, x, h, *scratches, keep = arguments
+    layer = _find_layer(address, layers, kind, exact(inputs), exact(hidden))
+    if exact(keep) not in (0, -1):
+        raise UndecidedError("u_keep is neither 0 nor -1")
+    _step(machine, layers, layer, as_place(x, "int16_t"), as_place(h, "int32_t"), exact(keep) == 0)
+    _forget(machine, scratches, [("int16_t", layer.hidden)] * len(scratches), [x, h])
+    return None
+
+
+def _lstm(machine: TermMachine, arguments: list[Found], layers: Layers) -> Found:
+    address, inputs, hidden, x, h, cell, scratch, relaxing = arguments
+    layer = _find_layer(address, layers, "lstm", exact(inputs), exact(hidden))
+    if exact(relaxing) not in (0, 1):
+        raise UndecidedError("relaxing is neither 0 nor 1")
+    places = as_place(x, "int16_t"), as_place(h, "int32_t"), as_place(cell, "int32_t")
+    _step(machine, layers, layer, *places[:2], exact(relaxing) == 1, places[2])
+    _forget(machine, [scratch], [("int16_t", layer.hidden)], places)
+    return None
+
+
+def _find_layer(address: Found, layers: Layers, kind: str, inputs: int, hidden: int) -> Numbered:
+    if not isinstance(address, AddressOf) or address.of.name not in layers.layers:
+        raise UndecidedError("a layer that the model does not have")
+    layer = layers.layers[address.of.name]
+    if (layer.kind, layer.inputs, layer.hidden) != (kind, inputs, hidden):
+        raise UndecidedError(f"{layer.name} is stepped as another layer")
+    return layer
+
+
+def _step(
+    machine: TermMachine,
+    layers: Layers,
+    layer: Numbered,
+    x: Spot,
+    h: Spot,
+    relaxing: bool,
+    c: Spot | None = None,
+) -> None:
+    """Step a layer as the specification says; its states must be within what is proven."""
+    from zerodrift_proof.equality.kernels import CELL_LIMIT, H_LIMIT_Q30
+
+    hidden = layer.hidden
+    given, states = machine.cells(x, layer.inputs), machine.cells(h, hidden)
+    cells = machine.cells(c, hidden) if c is not None else []
+    for term, limit in [(t, H_LIMIT_Q30) for t in states] + [(t, CELL_LIMIT) for t in cells]:
+        if term.low < -limit or term.high > limit:
+            raise UndecidedError(f"{layer.name} is stepped from a state beyond {limit}")
+    outputs, after = layers.step(layer.name, given, states, cells, relaxing)
+    _put(machine, h, outputs)
+    if c is not None:
+        _put(machine, c, after)
+
+
+def _put(machine: TermMachine, place: Spot, values: Sequence[Whole]) -> None:
+    first = place.at.exact
+    if first is None or first + len(values) > len(place.block.cells):
+        raise UndecidedError(f"where in {place.block.name} is written")
+    for k, value in enumerate(values):
+        machine.write(place.block, first + k, value)
+
+
+def _forget(
+    machine: TermMachine, given: Sequence[Found], wanted: Arrays, beside: Sequence[Found]
+) -> None:
+    """Nothing may rely on what a kernel leaves in its scratch.
+
+    Its arrays have the kernel's types and sizes, and are apart from each other and from what the
+    kernel is given `beside` them.
+    """
+    taken = [place.block for place in beside if isinstance(place, Spot)]
+    for found, (kind, count) in zip(given, wanted, strict=True):
+        place = as_place(found, kind)
+        if place.at.exact != 0 or count > len(place.block.cells):
+            raise UndecidedError("scratch that is not there")
+        if any(place.block is block for block in taken):
+            raise UndecidedError(
+                f"scratch that is {place.block.name}, which the kernel has already"
+            )
+        taken.append(place.block)
+        for k in range(len(place.block.cells)):
+            machine.write(place.block, k, None)
+
+
+def _make_packed(layers: Callable[[], Layers], kernel: Packed) -> Rule:
+    """Return the rule of a kernel that has the weights in another order."""
+
+    def rule(machine: TermMachine, arguments: list[Found]) -> Found:
+        address, inputs, hidden, x, h, *given, mode = arguments
+        layer = _find_layer(address, layers(), kernel.kind, exact(inputs), exact(hidden))
+        assert isinstance(address, AddressOf)
+        tables = tuple(list_numbers(address.of, name) for name in kernel.tables)
+        shift, more, bits = _read_shifts(address.of)
+        hold_packed(layer, tables, kernel.pack, shift, more)
+        lstm = layer.kind == "lstm"
+        cell = as_place(given.pop(0), "int32_t") if lstm else None
+        _hold_mode(layer, mode, bits)
+        places = as_place(x, "int16_t"), as_place(h, "int32_t")
+        _step(machine, layers(), layer, *places, exact(mode) == int(lstm), cell)
+        own: list[Found] = [x, h, cell] if cell is not None else [x, h]
+        _forget(machine, given, kernel.scratch(layer.inputs, layer.hidden), own)
+        return None
+
+    return rule
+
+
+def _read_shifts(constants: Instance) -> tuple[list[int], list[int], list[int]]:
+    """Return a layer's shifts, those of its multipliers, and its cell_bits."""
+    shift, more, bits = (
+        [c.low for c in constants.fields[name].cells if isinstance(c, Whole)]
+        if name in constants.fields
+        else []
+        for name in (SHIFT, "multiplier_shift", "cell_bits")
+    )
+    return shift, more, bits
+
+
+def _hold_mode(layer: Numbered, mode: Found, bits: Sequence[int]) -> None:
+    """Raise where a kernel is called neither for a step in time nor towards rest."""
+    lstm = layer.kind == "lstm"
+    if list(bits) != [layer.cell_bits] * lstm:
+        raise UndecidedError(f"{layer.name}: another cell_bits than the model's")
+    if exact(mode) not in ((0, 1) if lstm else (0, -1)):
+        raise UndecidedError("neither a step in time nor one towards rest")
+
+
+def make_assembly(layers: Callable[[], Layers], layer: Numbered, constants: Instance) -> Rule:
+    """Return the rule of a layer's function in assembly, whose text is known elsewhere."""
+    shift, more, bits = _read_shifts(constants)
+    pack = ASSEMBLY[constants.type]
+
+    def rule(machine: TermMachine, arguments: list[Found]) -> Found:
+        stream, h, x, *cell, mode = arguments
+        place, lstm = as_place(stream, "int32_t"), layer.kind == "lstm"
+        numbers = [c.low for c in place.block.cells if isinstance(c, Whole)]
+        hold_packed(layer, (numbers,), pack, shift, more)
+        _hold_mode(layer, mode, bits)
+        if len(cell) != int(lstm):
+            raise UndecidedError(f"{layer.name}: a cell state of another kind of layer")
+        own = as_place(cell[0], "int32_t") if lstm else None
+        places = as_place(x, "int16_t"), as_place(h, "int32_t")
+        _step(machine, layers(), layer, *places, exact(mode) == int(lstm), own)
+        return None
+
+    return rule
+
+
+def list_numbers(instance: Instance, name: str) -> list[int]:
+    """Return the constants that a field points to; none where it is NULL."""
+    place = instance.fields[name].cells[0]
+    if isinstance(place, Whole) and place.exact == 0:
+        return []
+    if not isinstance(place, Spot) or place.at.exact != 0:
+        raise UndecidedError(f"{instance.name}.{name} points to no table")
+    return [c.low for c in place.block.cells if isinstance(c, Whole) and c.exact is not None]
+
+
+def hold_packed(
+    layer: Numbered,
+    tables: Tables,
+    pack: Callable[[Numbered], Tables],
+    shift: Sequence[int],
+    multiplier_shift: Sequence[int] = (),
+) -> None:
+    """Raise where a kernel's tables are not the model's numbers in its order."""
+    same = list(shift) == list(layer.shift)
+    if layer.multiplier:
+        same = same and list(multiplier_shift) == list(layer.multiplier_shift)
+    if not same or tables != pack(layer):
+        raise UndecidedError(f"{layer.name}: the kernel's table holds other numbers than the model")
+
+
+def _crc(kind: str, machine: TermMachine, arguments: list[Found]) -> Found:
+    crc, values, count = arguments
+    if not isinstance(values, Spot):
+        raise UndecidedError("a CRC over no numbers")
+    refuse_other_type(kind, values, "a CRC")
+    cells = machine.cells(values, exact(count))
+    start = as_number(crc).term
+    if start.exact is None or any(c.exact is None for c in cells):
+        known = Opaque("crc", lambda _: (0, 2**32 - 1))
+        return Number(machine.terms.call(known, [start, *cells]), "uint32_t")
+    words = b"".join((c.low & 0xFFFFFFFF).to_bytes(4, "little") for c in cells)
+    return machine.constant(zlib.crc32(words, start.low), "uint32_t")
+
+
+def _crc_word(machine: TermMachine, arguments: list[Found]) -> Found:
+    crc, word = (machine.convert(as_number(a), "uint32_t").term for a in arguments)
+    if crc.exact is None or word.exact is None:
+        known = Opaque("crc", lambda _: (0, 2**32 - 1))
+        return Number(machine.terms.call(known, [crc, word]), "uint32_t")
+    return machine.constant(zlib.crc32(word.low.to_bytes(4, "little"), crc.low), "uint32_t")
+
+
+def _hold_saved(
+    machine: TermMachine, state: Found, size: Found, identity: Found, prefix: str
+) -> int:
+    if not isinstance(state, AddressOf) or not state.bytes or state.of.type != f"{prefix}_state_t":
+        raise UndecidedError("what is saved or restored is not the state")
+    if as_number(size).term is not machine.convert(machine.size_of(state.of.type), "uint32_t").term:
+        raise UndecidedError("the state's size")
+    return exact(identity)
+
+
+def _save(machine: TermMachine, arguments: list[Found], prefix: str, used: Used) -> Found:
+    saved, state, size, identity = arguments
+    own = _hold_saved(machine, state, size, identity, prefix)
+    place = as_place(saved, "uint8_t")
+    used.saved.append((f"{own}", place.at.exact == 0))
+    return None
+
+
+def _restore(machine: TermMachine, arguments: list[Found], prefix: str, used: Used) -> Found:
+    """0: the state holds the copy's bits, whatever they are; or it is as it was."""
+    state, saved, size, identity = arguments
+    own = _hold_saved(machine, state, size, identity, prefix)
+    used.saved.append((f"{own}", as_place(saved, "uint8_t").at.exact == 0))
+    assert isinstance(state, AddressOf)
+    if machine.fork(2):
+        used.restored = 1
+        return Number(machine.terms.symbol("refused", 1, 2**32 - 1), "uint32_t")
+    used.restored = 0
+    for name, block in state.of.fields.items():
+        low, high = TYPES[block.type]
+        for k in range(len(block.cells)):
+            machine.write(block, k, machine.terms.symbol(f"restored {name}[{k}]", low, high))
+    return machine.constant(0, "uint32_t")

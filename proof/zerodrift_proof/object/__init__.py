@@ -1,0 +1,1 @@
+"""Kernels in assembly are the specification, from the bytes of a linked program."""
