@@ -39,6 +39,8 @@ ROWS = 480
 EXEMPT = {
     "*cpu_s": "processor seconds",
     "*seconds": "how long it took",
+    "*.at": "time of day of what the registry enters",
+    "*_at": "the same",
 }
 """Keys in JSON whose values no two runs share, and why."""
 EXEMPT_FILES = {
@@ -607,7 +609,7 @@ PROJECTS: dict[str, Project] = {
     "plugin": Project(
         write_plugin,
         (
-            step("effects second_order_lag --json"),
+            step("effects second_order_lag --json", code=2),
             step("effects second_order_lag --trust --json"),
             step("compare --trust --json"),
             step("diagnose --trust --json"),
@@ -625,7 +627,7 @@ PROJECTS: dict[str, Project] = {
             step("fleet --jobs 1 --force --json"),
             step("fleet --jobs 1 --force"),
             step("block show firmware/blocks/SN01.bin firmware/blocks/SN02.hex --json"),
-            step("registry add SN01"),
+            step("registry add SN01", code=2),
             step("registry block SN01 firmware/blocks/SN01.bin --loaded"),
             step("registry loaded SN01 0123abcd", code=2),
             step("registry list --json"),
@@ -634,7 +636,7 @@ PROJECTS: dict[str, Project] = {
             step("diagnose --json"),
             step("apply fleet/SN01/run_2.csv --sensor SN01 --out applied.csv --json"),
             step("monitor fleet/SN01/run_2.csv --sensor SN01 --block-hours 0.02 --json"),
-            step("verify --sensor SN01 --json"),
+            step("verify --sensor SN01 --json", code=2),
         ),
     ),
     "begin": Project(
