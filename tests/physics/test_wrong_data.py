@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.physics.conftest import SLOPE, follow, make_dataset
+from tests.physics.conftest import NOISE, SLOPE, follow, make_dataset
 
 from zerodrift.diagnosis.breaks import find_gain_change
 from zerodrift.diagnosis.data_notes import INFORMS, KINDS
@@ -151,6 +151,45 @@ def test_test_run_made_of_a_training_run_is_a_leak(clean, noise):
     assert (note.run, note.kind) == ("copy", "leak")
     assert f"training run {source.group}" in note.text
     assert not find_leaks(clean.train[:-1], clean.train[-1:], clean.outputs)
+
+
+def repeat(source, extra, rng, slope=0.0):
+    """Return a run of the same thermometer, loads and inputs, with other noise on its outputs."""
+    warmer = (source.temperature_degC - 25.0)[:, None] * slope * SLOPE
+    noise = extra * NOISE * rng.standard_normal(source.measured.shape)
+    measured = source.measured + warmer + noise
+    return replace(source, name="again", group="again", measured=measured)
+
+
+def test_copy_under_noise_far_above_its_own_is_a_leak(clean):
+    source = clean.train[2]
+    copy = repeat(source, 20.0, np.random.default_rng(5))
+    (note,) = find_leaks(clean.train, (copy,), clean.outputs)
+    assert (note.run, note.kind) == ("again", "leak")
+    assert f"training run {source.group} (0 rows later)" in note.text
+
+
+def test_another_sensor_recorded_at_once_is_no_leak(clean):
+    """It shares the thermometer's noise and the loads to the last digit, not its drift."""
+    rng = np.random.default_rng(6)
+    source = clean.train[2]
+    other = repeat(source, 1.0, rng, slope=0.3)
+    own = replace(source, measured=source.measured + NOISE * rng.standard_normal((len(source), 2)))
+    without = (*clean.train[:2], own, *clean.train[3:])
+    assert not find_leaks(without, (repeat(other, 20.0, rng),), clean.outputs)
+
+
+def test_run_of_the_same_programme_is_no_leak(clean):
+    """Thermometer (a coarse one) and loads are the same; each has noise of its own, as large."""
+    rng = np.random.default_rng(7)
+    source = warm(clean.train[2], lambda x: np.round(x / 0.5) * 0.5)
+    slow = follow(clean.train[2].temperature_degC, 90.0) - 25.0
+    quiet = replace(source, measured=source.reference + slow[:, None] * SLOPE)
+    runs = [repeat(quiet, 1.0, rng) for _ in range(2)]
+    train = (replace(runs[0], name="first", group="first"), *clean.train[3:])
+    assert not find_leaks(train, (runs[1],), clean.outputs)
+    copy = repeat(runs[0], 20.0, rng)
+    assert [note.kind for note in find_leaks(train, (copy,), clean.outputs)] == ["leak"]
 
 
 def test_page_lists_every_kind_and_whether_it_stops():
