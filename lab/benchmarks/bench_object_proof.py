@@ -31,8 +31,7 @@ from zerodrift_proof.equality.kernels import Numbered
 from zerodrift_proof.equality.specification import Specification
 from zerodrift_proof.equality.terms import Terms
 from zerodrift_proof.object.image import Image, Kernel, read_image
-from zerodrift_proof.object.kernels import prove_kernel
-from zerodrift_proof.object.program import BUILDS
+from zerodrift_proof.object.program import BUILDS, prove_kernel
 
 SUBJECTS = (
     ("ordinary", 0), ("reset_before", 0), ("int8", 0), ("lstm", 0), ("ordinary", 2),

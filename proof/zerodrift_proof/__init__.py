@@ -4,14 +4,15 @@ What stands here is what others import; the packages inside are the checkers' ow
 """
 
 from zerodrift_proof.certificate.check import (
+    CertificateClaims,
     CertificateOutcome,
     check_certificate,
     compare,
     judge_each,
+    read_claims,
 )
-from zerodrift_proof.certificate.claims import CertificateClaims, read_claims
+from zerodrift_proof.equality.build import OPEN, PROVEN, TESTED, ShownPart
 from zerodrift_proof.equality.model import Model, read_model
-from zerodrift_proof.equality.parts import OPEN, PROVEN, TESTED, ShownPart
 from zerodrift_proof.equality.prove import is_proven, list_shown
 from zerodrift_proof.equality.reader import SYSTEM
 from zerodrift_proof.known_runtime import is_known

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from zerodrift_proof.certificate.check import CertificateOutcome, check_certificate
+from zerodrift_proof.equality.build import OPEN, TESTED, ShownPart
 from zerodrift_proof.equality.model import Model, read_model
-from zerodrift_proof.equality.parts import OPEN, TESTED, ShownPart
 from zerodrift_proof.equality.prove import is_proven, list_shown
 from zerodrift_proof.equality.reader import SYSTEM
 from zerodrift_proof.object.image import ProgramError

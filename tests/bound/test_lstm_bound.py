@@ -26,7 +26,7 @@ from zerodrift.operations.lstm import IntegerLstmLayer, error
 from zerodrift.operations.lstm.parts import HALVINGS, FloatGate, halve
 from zerodrift.operations.lstm.step_error import StepRules
 from zerodrift_proof.bound import lstm as bound_lstm
-from zerodrift_proof.bound.parts import GateLine, list_parts
+from zerodrift_proof.bound.lstm import GateLine, list_parts
 from zerodrift_proof.certificate.check import compare
 
 KINDS = (

@@ -23,9 +23,15 @@ from zerodrift.codegen.generate import GeneratedCode, generate, generate_design
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
 from zerodrift_proof.certificate.check import find_taken_headers
-from zerodrift_proof.certificate.lexer import TOKEN
 from zerodrift_proof.certificate.model import Runtime, read_models
-from zerodrift_proof.certificate.preprocessor import CLAIM, KERNELS, Build, list_builds, read_ways
+from zerodrift_proof.certificate.preprocessor import (
+    CLAIM,
+    KERNELS,
+    TOKEN,
+    Build,
+    list_builds,
+    read_ways,
+)
 from zerodrift_proof.certificate.values import FaultError, NotUnderstoodError
 
 GOLDEN = Path(__file__).parents[1] / "golden"

@@ -3,9 +3,8 @@
 import pytest
 
 from tests.certificate.refused import FILES, NAME, H
-from zerodrift_proof.certificate.header import find_wrong_indices
-from zerodrift_proof.certificate.lexer import WordSpots
-from zerodrift_proof.certificate.preprocessor import read_header
+from zerodrift_proof.certificate.check import find_wrong_indices
+from zerodrift_proof.certificate.preprocessor import WordSpots, read_header
 
 
 def find(header: str) -> list[str]:

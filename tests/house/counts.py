@@ -72,12 +72,14 @@ EDGES = {
     "train/standings.py": "the reader of checkpoints, which yields where each attempt stood",
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
     "src/zerodrift/verify/trial_child.py": "a process of its own reads its job",
-    "proof/zerodrift_proof/certificate/claims.py": "reads certificate.json by itself",
-    "proof/zerodrift_proof/bound/claims.py": "the same",
-    "proof/zerodrift_proof/bound/told.py": "the same",
+    "proof/zerodrift_proof/certificate/check.py": "reads certificate.json by itself",
+    "proof/zerodrift_proof/bound/signals.py": "the same",
+    "proof/zerodrift_proof/bound/formulas.py": "the same",
 }
 """Modules that turn what another program wrote into records."""
 
+PROOF = "proof/zerodrift_proof"
+"""A distribution of its own, whose rooms share nothing: a name of a class is its room's."""
 KEPT_ANY = {
     "export/onnx_reader.py": "attributes of an ONNX node, which onnx hands out as any of ten types",
     "export/onnx_shapes.py": "the same, and the arrays of its tensors",
@@ -99,8 +101,8 @@ class Place:
 
 
 def list_trees() -> Iterator[tuple[Path, str, ast.Module]]:
-    """Yield every module of the product, its text and its syntax tree."""
-    for folder in FOLDERS.values():
+    """Yield every module of the product and of its checkers, its text and its syntax tree."""
+    for folder in (*FOLDERS.values(), ROOT / PROOF):
         for path in sorted(folder.rglob("*.py")):
             text = path.read_text("utf-8")
             yield path, text, ast.parse(text)
@@ -134,12 +136,15 @@ def list_any() -> list[Place]:
 
 
 def list_classes() -> dict[str, list[str]]:
-    """Return the modules in which each name of a class stands."""
+    """Return the modules in which each name of a class stands; the checkers' by their room."""
     found: dict[str, list[str]] = {}
     for path, _, tree in list_trees():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
-                found.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+                file = str(path.relative_to(ROOT))
+                room = path.relative_to(ROOT / PROOF).parts[0] if PROOF in file else ""
+                name = f"{room}: {node.name}" if room else node.name
+                found.setdefault(name, []).append(file)
     return found
 
 

@@ -14,9 +14,10 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder into which the wheel of this tree is installed."""
+    """Return the folder into which the wheels of this tree and of the checkers are installed."""
     place = tmp_path_factory.mktemp("wheel") / "site"
     install(ROOT, place)
+    install(ROOT / "proof", place)
     return place
 
 

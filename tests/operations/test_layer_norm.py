@@ -28,7 +28,7 @@ from zerodrift.operations.layer_norm import (
     list_constants,
 )
 from zerodrift.operations.signals import Real
-from zerodrift_proof.equality.parts import OPEN
+from zerodrift_proof.equality.build import OPEN
 
 SHAPE = Shape(inputs=3, layered=(("gru", 5, (0,)), ("norm", 5, (1,))), code_limit=12000)
 CODES = Interval(-32768 << 15, 32767 << 15)

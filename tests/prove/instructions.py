@@ -17,13 +17,9 @@ from unicorn.arm_const import (
 from zerodrift.c_runtime.chip import make_chip
 from zerodrift_proof.equality.kernels import compute_tanh
 from zerodrift_proof.equality.terms import Whole
-from zerodrift_proof.object.curves import Word, WordCurve
-from zerodrift_proof.object.elf import ElfSpan
-from zerodrift_proof.object.flags import Flags
-from zerodrift_proof.object.image import Image
-from zerodrift_proof.object.machine import ObjectMachine
-from zerodrift_proof.object.memory import Area
-from zerodrift_proof.object.words import WORD
+from zerodrift_proof.object.image import ElfSpan, Image
+from zerodrift_proof.object.machine import Area, Flags, ObjectMachine
+from zerodrift_proof.object.words import WORD, Word, WordCurve
 
 CODE, DATA, STACK, FIXED = 0x03000000, 0x20001000, 0x30001000, 0x10000000
 BYTES = 512

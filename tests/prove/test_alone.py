@@ -17,7 +17,7 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.proof import build_program
-from zerodrift_proof.object.elf import CPU_ARCH, FUNCTION, UNALIGNED_ACCESS, ElfError, read_elf
+from zerodrift_proof.object.image import CPU_ARCH, FUNCTION, UNALIGNED_ACCESS, ElfError, read_elf
 from zerodrift_proof.object.program import BUILDS
 
 ALONE = """

@@ -3,7 +3,7 @@
 import pytest
 from benchmarks import bench_proof
 
-from zerodrift_proof.equality.parts import PROVEN, ShownPart
+from zerodrift_proof.equality.build import PROVEN, ShownPart
 
 
 def test_random_models_are_proven(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,7 @@
 """`verify --prove` from the command line: words, JSON and exit codes."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,19 @@ def test_words_json_and_exit_codes(project: Path) -> None:
     told = json.loads(found.stdout)
     assert not told["proven"]
     assert {"step"} <= {p["what"] for p in told["parts"] if p["verdict"] == "not proven"}
+
+
+@pytest.mark.parametrize("what", ["firmware", "verify --certificate", "verify --prove"])
+def test_without_the_checkers_it_is_told_how_to_install_them(
+    what: str, project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (project / "firmware" / "certificate.json").write_text("{}")
+    monkeypatch.setitem(sys.modules, "zerodrift_proof", None)
+    for name in ("checkers", "proof"):
+        monkeypatch.delitem(sys.modules, f"zerodrift.verify.{name}", raising=False)
+    found = CliRunner().invoke(cli, [*what.split(), "-C", str(project)])
+    assert isinstance(found.exception, InputError)
+    assert "pip install ./proof" in str(found.exception)
 
 
 def test_a_program_is_proven_too(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

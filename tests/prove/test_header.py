@@ -10,8 +10,7 @@ from tests.prove.models import as_read
 from tests.prove.test_reading import Texts, add_runtime
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift_proof.equality.build import Proof
-from zerodrift_proof.equality.parts import OPEN
+from zerodrift_proof.equality.build import OPEN, Proof
 from zerodrift_proof.equality.prove import BUILDS
 
 WHAT = ("header", "struct of the inputs", "struct of the state")

@@ -14,8 +14,8 @@ from tests.prove.models import as_read
 from tests.prove.test_proof import write
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
 from zerodrift.verify.proof import PROGRAM, build_program, prove_model
+from zerodrift_proof.equality.build import PROVEN, TESTED
 from zerodrift_proof.equality.kernels import Layers
-from zerodrift_proof.equality.parts import PROVEN, TESTED
 from zerodrift_proof.equality.specification import Specification
 from zerodrift_proof.equality.terms import Terms
 from zerodrift_proof.object.image import Image, ProgramError, read_image

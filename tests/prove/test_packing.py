@@ -7,7 +7,7 @@ import pytest
 from tests.golden.vectors import load
 from tests.prove.models import as_read
 from zerodrift.codegen.generate import generate
-from zerodrift_proof.equality.packing import pack_assembly
+from zerodrift_proof.equality.rules import pack_assembly
 from zerodrift_proof.equality.specification import Specification
 from zerodrift_proof.equality.terms import Terms
 

@@ -14,9 +14,9 @@ from zerodrift.codegen.generate import generate
 from zerodrift.codegen.names import name_prefix
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift_proof import is_proven
-from zerodrift_proof.equality import paths
-from zerodrift_proof.equality.parts import OPEN, TESTED, ShownPart
-from zerodrift_proof.equality.ways import show_kernels
+from zerodrift_proof.equality import memory
+from zerodrift_proof.equality.build import OPEN, TESTED, ShownPart
+from zerodrift_proof.equality.prove import show_kernels
 from zerodrift_proof.object.program import ProvenKernels
 
 Texts = dict[str, str]
@@ -175,7 +175,7 @@ HEADER = {
 
 
 def test_a_self_test_without_an_end_is_not_proven(monkeypatch) -> None:
-    monkeypatch.setattr(paths, "MOST_STATEMENTS", 60_000)
+    monkeypatch.setattr(memory, "MOST_STATEMENTS", 60_000)
     model = load("ordinary").model
     texts = write(model)
     source = f"{name_prefix(model)}.c"

@@ -14,10 +14,8 @@ from tests.golden.vectors import load
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift_proof.equality.parser import parse_all
-from zerodrift_proof.equality.prove import BUILDS
-from zerodrift_proof.equality.reader import preprocess
-from zerodrift_proof.equality.tokens import RefusedError, split
-from zerodrift_proof.equality.ways import list_ways
+from zerodrift_proof.equality.prove import BUILDS, list_ways
+from zerodrift_proof.equality.reader import RefusedError, preprocess, split
 from zerodrift_proof.known_runtime import is_known
 
 Texts = dict[str, str]

@@ -37,7 +37,7 @@ from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.replay import replay
 from zerodrift.verify.vectors import draw_sequences
 from zerodrift_proof.certificate.check import compare
-from zerodrift_proof.equality.parts import OPEN, PROVEN
+from zerodrift_proof.equality.build import OPEN, PROVEN
 
 NAMES = ("no_reading", "no_reading, guarded", "effects", "variable step, guarded")
 

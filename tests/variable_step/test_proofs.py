@@ -13,7 +13,7 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.lowpass_after import IntegerLowpassAfter
 from zerodrift.verify.certificate import certify
 from zerodrift_proof.certificate.check import CertificateOutcome, compare
-from zerodrift_proof.equality.parts import OPEN, PROVEN, TESTED
+from zerodrift_proof.equality.build import OPEN, PROVEN, TESTED
 
 MODEL = make_model()
 CODE = generate(MODEL)

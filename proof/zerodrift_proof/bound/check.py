@@ -10,14 +10,16 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from zerodrift_proof.bound import numbers
-from zerodrift_proof.bound.claims import ErrorClaim, FloatLine, Place, read_bound
 from zerodrift_proof.bound.conversion import ConversionCheck
 from zerodrift_proof.bound.forms import CODE, LOAD, NodeForm, find_list, read_forms
-from zerodrift_proof.bound.gru import bound_gru
+from zerodrift_proof.bound.gru import FeatureRange, bound_gru
 from zerodrift_proof.bound.lstm import bound_lstm
 from zerodrift_proof.bound.signals import (
     COPY,
+    ErrorClaim,
+    FloatLine,
     Has,
+    Place,
     bound_constant_power,
     bound_limited,
     bound_limits,
@@ -27,9 +29,9 @@ from zerodrift_proof.bound.signals import (
     expect,
     list_gains,
     reach_sum,
+    read_bound,
     round_up,
 )
-from zerodrift_proof.bound.sums import FeatureRange
 from zerodrift_proof.certificate.model import Model
 from zerodrift_proof.certificate.values import Block, NotUnderstoodError, Pointer, Struct
 

@@ -6,7 +6,7 @@ limited, or a call of the runtime. Shares no code with the generator.
 
 from dataclasses import dataclass, field, replace
 
-from zerodrift_proof.certificate.nodes import (
+from zerodrift_proof.certificate.parser import (
     CAssign,
     CBinary,
     CBlock,

@@ -9,10 +9,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 from zerodrift_proof.certificate import armv6m as c_armv6m
 from zerodrift_proof.certificate import armv7em as c_armv7em
-from zerodrift_proof.certificate.gru import BEFORE, BYTES, PAIRS, GruStep, run_packed
 from zerodrift_proof.certificate.intervals import IntervalMachine
-from zerodrift_proof.certificate.lexer import NAMES_OF_TABLES
-from zerodrift_proof.certificate.lstm import LstmStep, step_lstm
+from zerodrift_proof.certificate.preprocessor import NAMES_OF_TABLES
+from zerodrift_proof.certificate.recurrent import (
+    BEFORE,
+    BYTES,
+    PAIRS,
+    GruStep,
+    LstmStep,
+    run_packed,
+    step_lstm,
+)
 from zerodrift_proof.certificate.values import (
     FaultError,
     Found,

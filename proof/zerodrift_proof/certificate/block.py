@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from zerodrift_proof.certificate.expressions import Expressions
-from zerodrift_proof.certificate.lexer import TOKEN, ModelTokens, parse_integer
-from zerodrift_proof.certificate.nodes import (
+from zerodrift_proof.certificate.parser import (
     CAssign,
     CCall,
     CDeclare,
@@ -23,6 +22,7 @@ from zerodrift_proof.certificate.nodes import (
     Expression,
     is_name,
 )
+from zerodrift_proof.certificate.preprocessor import TOKEN, ModelTokens, parse_integer
 from zerodrift_proof.certificate.values import TYPES, FaultError, NotUnderstoodError, Struct, Value
 
 WITHIN = """

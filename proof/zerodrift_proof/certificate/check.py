@@ -1,25 +1,187 @@
 """Derives every bound of a certificate again from the generated C alone, and compares.
 
+certificate.json as the checker reads it: by itself, as it shares no code with the writer.
+
+What a header tells its caller to index `drift[]` by, held against the array that is written.
+
 The C is run once over intervals (`intervals`). The runtime's kernels are taken at their
 specification (docs/reference/integer-arithmetic.md), their constants and table from zd_runtime.h
-and .c. Shares no code with the generator and needs the standard library only.
+and .c.
 """
 
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zerodrift_proof.bound.check import check_bound
-from zerodrift_proof.certificate.checksum import FIELD as SUM
-from zerodrift_proof.certificate.claims import CertificateClaims, read_claims
-from zerodrift_proof.certificate.header import find_wrong_indices
+from zerodrift_proof.certificate.guard import FIELD as SUM
 from zerodrift_proof.certificate.intervals import IntervalMachine
 from zerodrift_proof.certificate.model import Model, read_models
 from zerodrift_proof.certificate.values import TYPES, FaultError, NotUnderstoodError, anything
 from zerodrift_proof.known_runtime import is_known
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A range of integers, and what it is claimed of."""
+
+    where: str
+    low: int
+    high: int
+
+
+@dataclass(frozen=True)
+class BoundClaim(Claim):
+    """The range of a sum, and the bits of the variable that holds it."""
+
+    bits: int
+
+
+@dataclass(frozen=True)
+class BlockClaim(Claim):
+    """What each number of a field of a block can be, and its rows add up to."""
+
+    row: int
+    """Numbers in a row; 0: nothing is claimed of rows."""
+    norm: int
+    layer: tuple[int, int, int]
+    """Units of a GRU no sum of which leaves 32 bits, words of its rows of features and of state."""
+
+
+@dataclass(frozen=True)
+class TableClaim(Claim):
+    """The range of what is read of a table, and the lines that can be read."""
+
+    lines: int
+
+
+@dataclass(frozen=True)
+class CertificateClaims:
+    """All claims about a model and its C."""
+
+    model: str
+    """Hash of the integer model."""
+    prefix: str
+    files: Mapping[str, str]
+    """Name -> SHA-256."""
+    inputs: tuple[Claim, ...]
+    """Channel and the codes that it can hold."""
+    checksum: object
+    """The state's field that guards it; None where there is none."""
+    invariants: tuple[Claim, ...]
+    tables: tuple[TableClaim, ...]
+    shifts: Mapping[str, int]
+    """Where -> bits."""
+    bounds: tuple[BoundClaim, ...]
+    blocks: tuple[BlockClaim, ...]
+    """Of a design; empty where the numbers are the program's own."""
+
+
+def read_claims(told: Mapping[str, object]) -> CertificateClaims:
+    """Return the content of certificate.json.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: it is not built like a certificate.
+    """
+    rows = {name: _list_rows(told[name]) for name in ("inputs", "invariants", "tables", "bounds")}
+    files = told["files"]
+    if not isinstance(files, dict):
+        raise TypeError("files is no object")
+    return CertificateClaims(
+        model=_read_text(told["model"]),
+        prefix=_read_text(told["prefix"]),
+        files={_read_text(name): _read_text(digest) for name, digest in files.items()},
+        inputs=tuple(Claim(_read_text(c["channel"]), *_read_range(c)) for c in rows["inputs"]),
+        checksum=told.get("checksum"),
+        invariants=tuple(
+            Claim(_read_text(c["where"]), *_read_range(c)) for c in rows["invariants"]
+        ),
+        tables=tuple(
+            TableClaim(_read_text(c["where"]), *_read_range(c), _read_integer(c["lines"]))
+            for c in rows["tables"]
+        ),
+        shifts={
+            _read_text(c["where"]): _read_integer(c["shift"]) for c in _list_rows(told["shifts"])
+        },
+        bounds=tuple(
+            BoundClaim(_read_text(c["where"]), *_read_range(c), _read_integer(c["bits"]))
+            for c in rows["bounds"]
+        ),
+        blocks=tuple(
+            BlockClaim(
+                _read_text(c["where"]),
+                *_read_range(c),
+                _read_integer(c.get("row", 0)),
+                _read_integer(c.get("norm", 0)),
+                _read_layer(c),
+            )
+            for c in _list_rows(told.get("blocks", []))
+        ),
+    )
+
+
+def _list_rows(value: object) -> list[dict[str, object]]:
+    if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
+        raise TypeError(f"{value!r:.40} is no list of claims")
+    return value
+
+
+def _read_range(row: Mapping[str, object]) -> tuple[int, int]:
+    return _read_integer(row["low"]), _read_integer(row["high"])
+
+
+def _read_integer(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError(f"{value!r:.40} is no integer")
+    return value
+
+
+def _read_layer(row: Mapping[str, object]) -> tuple[int, int, int]:
+    units, x, h = (_read_integer(row.get(name, 0)) for name in ("units", "x_pairs", "h_pairs"))
+    return units, x, h
+
+
+def _read_text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.40} is no text")
+    return value
+
+
+SCALE = "_LSB_PER_UNIT"
+"""Ends the name of an output's scale; without it, that of its index."""
+
+
+def find_wrong_indices(macros: Mapping[str, Sequence[str]], prefix: str) -> list[str]:
+    """Return what is wrong with the names of the outputs: each has to be a place of its own.
+
+    A caller reads `drift[PREFIX_NAME]` from an array of `PREFIX_OUTPUTS`; nothing in the C itself
+    uses the names. An output is what has an `_LSB_PER_UNIT`.
+
+    Args:
+        macros: of the model's header, name -> words that it stands for.
+        prefix: of its names, as in the file's name.
+    """
+    own = f"{prefix.upper()}_"
+    count = " ".join(macros.get(f"{own}OUTPUTS", ()))
+    if not re.fullmatch(r"[1-9]\d*", count):
+        return [f"{own}OUTPUTS: is '{count}', no number of outputs"]
+    names = [name.removesuffix(SCALE) for name in macros if name.endswith(SCALE)]
+    found, indices = [], []
+    for name in names:
+        value = " ".join(macros.get(name, ()))
+        if not re.fullmatch(r"0|[1-9]\d*", value) or int(value) >= int(count):
+            found.append(f"{name}: is '{value}', outside of drift[{count}]")
+        else:
+            indices.append(int(value))
+    if sorted(indices) != list(range(int(count))):
+        found.append(
+            f"the outputs' indices are {sorted(indices)}; expected 0 .. {int(count) - 1}, each once"
+        )
+    return found
+
 
 SHARED_RUNTIME = "runtime"
 """Beside the folders of a fleet's units: the runtime of all of them."""

@@ -2,8 +2,10 @@
 
 Every function is run, every operation must fit its C type, every index its array, and nothing may
 be read before it is written. What the state may hold at the start of a step is what the C itself
-tests (`c_guard`); that each step leaves it so closes the induction. Shares no code with the
+tests (`guard`); that each step leaves it so closes the induction. Shares no code with the
 generator and needs the standard library only.
+
+Arguments of the runtime's functions, held against the parameters that these have.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,9 +13,9 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from zerodrift_proof.certificate.block import BlockSet, LayerRows
-from zerodrift_proof.certificate.checksum import FIELD as SUM
+from zerodrift_proof.certificate.guard import FIELD as SUM
 from zerodrift_proof.certificate.guard import Guard
-from zerodrift_proof.certificate.nodes import (
+from zerodrift_proof.certificate.parser import (
     CBinary,
     CField,
     CInteger,
@@ -46,7 +48,7 @@ MOST_PATHS = 64
 DEEPEST = 20
 Rule: TypeAlias = Callable[..., Found]
 """(machine, *arguments) -> what a function of the runtime returns. A rule holds what it is given
-against the parameters of that function (`c_arguments`)."""
+against the parameters of that function (below)."""
 
 
 class IntervalMachine(Statements):
@@ -272,7 +274,7 @@ class IntervalMachine(Statements):
         return tuple((id(b), b.version) for name, b in state.fields.items() if name != SUM)
 
     def _sum_up(self, state: Found) -> Value:
-        """Return the checksum of what the state holds now (`c_checksum` tells what it reads)."""
+        """Return the checksum of what the state holds now (`guard` tells what it reads)."""
         if not isinstance(state, Address) or state.struct.type != f"{self.prefix}_state_t":
             raise self.not_understood("sum_up of something else")
         for name, block in state.struct.fields.items():
@@ -408,3 +410,81 @@ class IntervalMachine(Statements):
             raise FaultError("drift is no array of int32_t")
         drift.fill([anything("int32_t")] * self.outputs)
         return anything("uint32_t")
+
+
+Action: TypeAlias = Callable[..., Value | None]
+"""(machine, *arguments) -> what the function returns. Each argument is of the kind that the types
+beside it name: a Value, a Pointer to a row of numbers or a Struct."""
+
+
+def typed(types: str, action: Action, result: str = "") -> Rule:
+    """Return a rule that first holds the arguments against the function's parameters.
+
+    Args:
+        types: of the parameters: a number's type; `const T *` or `T *`, of which the second is
+            written to; `&S`, a struct of the runtime.
+        action: what it does with them.
+        result: the type of what it returns.
+    """
+    kinds = [kind.strip() for kind in types.split(",")] if types else []
+
+    def rule(machine: IntervalMachine, *arguments: Found) -> Value | None:
+        if len(arguments) != len(kinds):
+            raise FaultError(f"{len(arguments)} arguments where {len(kinds)} are expected")
+        given = [check(machine, k, a) for k, a in zip(kinds, arguments, strict=True)]
+        found = action(machine, *given)
+        if not result:
+            return None
+        if found is None:
+            raise TypeError(f"{action} returns nothing; {result} is expected of it")
+        return replace(found, type=result, copy_of=None)
+
+    return rule
+
+
+def check(machine: IntervalMachine, kind: str, argument: Found) -> Value | Pointer | Struct:
+    """Return an argument as the parameter holds it.
+
+    Raises:
+        FaultError: it is of another type.
+    """
+    if kind in TYPES:
+        return check_number(machine, kind, argument)
+    if kind[0] == "&":
+        if not isinstance(argument, Address) or argument.struct.type != kind[1:] or argument.bytes:
+            raise FaultError(f"another type than {kind[1:]} is given")
+        return argument.struct
+    return check_row(kind, argument)
+
+
+def check_number(machine: IntervalMachine, kind: str, argument: Found) -> Value:
+    """Return an argument that has to be a number, in the type of its parameter."""
+    return machine.keep(machine.as_number(argument), kind)
+
+
+def check_row(kind: str, argument: Found) -> Pointer:
+    """Return an argument that has to be a row of numbers: of `const T *` or of `T *`.
+
+    Raises:
+        FaultError: it is of another type, or constant where it is written.
+    """
+    base = kind.removeprefix("const ").removesuffix(" *")
+    if not isinstance(argument, Pointer) or argument.block.type != base:
+        raise FaultError(f"another type than {kind} is given")
+    if len(argument.sizes) != 1:
+        raise FaultError(f"{argument.block.name} is given where a row of numbers is expected")
+    constant = argument.constant or argument.block.constant
+    if constant and not kind.startswith("const"):
+        raise FaultError(f"{argument.block.name} is constant, and is written")
+    return argument
+
+
+def number(value: Value, least: int, most: int, what: str) -> int:
+    """Return a parameter that must be one known number in a range.
+
+    Raises:
+        FaultError: it is not.
+    """
+    if value.exact is None or not least <= value.exact <= most:
+        raise FaultError(f"{what} is {value.low} .. {value.high}; {least} .. {most} is allowed")
+    return value.exact

@@ -1,5 +1,12 @@
 """What the runtime's functions ask of their arguments, and what they do with intervals.
 
+What the runtime's functions of a variable step do with intervals (specification, 3.16, 5).
+
+What a layer normalisation does with intervals.
+
+Written from docs/reference/integer-layers.md, section 4. Shares no code with the generator and
+needs the standard library only.
+
 Written from docs/reference/integer-arithmetic.md, section 3. Shares no code with the generator and
 needs the standard library only.
 """
@@ -7,27 +14,27 @@ needs the standard library only.
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from math import isqrt
 
-from zerodrift_proof.certificate.arguments import check_number, check_row, number, typed
-from zerodrift_proof.certificate.elapsed import (
-    add_span,
-    add_time,
-    draw_time,
-    is_fast,
-    lowpass_after,
+from zerodrift_proof.certificate.intervals import (
+    IntervalMachine,
+    Rule,
+    check_number,
+    check_row,
+    number,
+    typed,
 )
-from zerodrift_proof.certificate.gru import (
+from zerodrift_proof.certificate.recurrent import (
     COLUMNS,
     PAIRS,
     ROWS,
     ROWS_BEFORE,
     packed,
     portable,
+    run_lstm,
+    run_lstm_rows,
     shift_right,
 )
-from zerodrift_proof.certificate.intervals import IntervalMachine, Rule
-from zerodrift_proof.certificate.layer_norm import normalise
-from zerodrift_proof.certificate.lstm import run_lstm, run_lstm_rows
 from zerodrift_proof.certificate.values import (
     TYPES,
     Address,
@@ -38,6 +45,178 @@ from zerodrift_proof.certificate.values import (
     Value,
     anything,
 )
+
+LONGEST_US = 1 << 61
+MOST_A = (1 << 31) - 1
+"""Of a and c in 2^-31: both are below 1."""
+MARGIN = 1 << 22
+"""2^21 + 1/a in 2^-24, for a above 2^-21."""
+
+
+def add_span(machine: IntervalMachine, slept: Value, elapsed: Value) -> Value:
+    """Both together, at most 2^61."""
+    _require(slept, 0, LONGEST_US, "the time slept")
+    del elapsed  # any 64 bits
+    return Value(0, LONGEST_US, "int64_t")
+
+
+def draw_time(machine: IntervalMachine, seed: Value) -> Value:
+    """Any time."""
+    return anything("uint64_t")
+
+
+def is_fast(
+    machine: IntervalMachine, now: Value, before: Value, most: Value, span: Value, period: Value
+) -> Value:
+    """0 or 1; what is multiplied stays below 2^63 for any codes."""
+    del now, before
+    _require(most, 0, TYPES["int32_t"][1], "a rate")
+    _require(span, 0, LONGEST_US, "a time")
+    number(period, 1, TYPES["uint32_t"][1], "the sample period")
+    return Value(0, 1, "uint32_t")
+
+
+def add_time(
+    machine: IntervalMachine, place: Pointer, span: Value, limit: Value, by: Value
+) -> Value:
+    """A sum that stops at limit 2^bits."""
+    time, name = _cell(place), machine.name_of(place.block).removesuffix(".time")
+    _require(span, 0, LONGEST_US, "a time")
+    bits, ticks = number(by, 0, 60, "the tick"), number(limit, 1, TYPES["int32_t"][1], "a limit")
+    most = ticks << bits
+    if most > LONGEST_US or time.low < 0:
+        raise FaultError(f"{name}: {time.low} .. {most} us are no times of up to {LONGEST_US}")
+    machine.note(f"{name}.sum", 0, time.high + span.high, 64)
+    machine.convert(Value(0, time.high + span.high, "int64_t"), "int64_t")
+    place.fill([Value(0, most, "int64_t")])
+    return Value(0, ((most + (1 << bits >> 1)) >> bits))
+
+
+def lowpass_after(
+    machine: IntervalMachine,
+    before: Pointer,
+    waiting: Pointer,
+    place: Pointer,
+    x: Value,
+    span: Value,
+    rate: Value,
+    by: Value,
+) -> Value:
+    """y' = (1 - a) y + (a - c) x + c x' with 0 <= c <= a < 1: y stays where the inputs were, but
+    for what rounding adds, 2^21 a + 1 a step, of which the share a is forgotten. What is collected
+    is below 2^-20 time constants."""
+    own, held, y = _cell(before), _cell(waiting), _cell(place)
+    name = machine.name_of(place.block).removesuffix(".y")
+    shift, one = number(by, 0, 50, "the shift"), 1 << 24
+    _require(rate, 1, MOST_A, "a rate in 2^-31")
+    _require(span, 0, LONGEST_US, "a time")
+    _require(held, 0, TYPES["int32_t"][1], "a collected time")
+    most = ((1 << (shift + 11)) - 1) // rate.low
+    if most > TYPES["int32_t"][1]:
+        raise FaultError(f"{name}: up to {most} us are collected, which int32_t does not hold")
+    after = Value(min(own.low, x.low), max(own.high, x.high))
+    gap = Value(
+        (one * own.low - y.high + (1 << 21)) >> 22, (one * own.high - y.low + (1 << 21)) >> 22
+    )
+    machine.note(f"{name}.gap", gap.low, gap.high, 32)
+    scaled = min(gap.low * MOST_A, 0), max(gap.high * MOST_A, 0) + (1 << 27)
+    risen = min((x.low - own.high) * MOST_A, 0), max((x.high - own.low) * MOST_A, 0) + (1 << 6)
+    machine.note(f"{name}.scaled", *scaled, 64)
+    machine.note(f"{name}.rise", *risen, 64)
+    low, high = (one * after.low) - MARGIN, (one * after.high) + MARGIN
+    moved = Value(min(y.low, low), max(y.high, high), "int64_t")
+    place.fill([machine.convert(moved, "int64_t")])
+    before.fill([after])
+    waiting.fill([Value(0, most)])
+    return machine.convert(
+        Value((moved.low + (1 << 23)) >> 24, (moved.high + (1 << 23)) >> 24, "int64_t"), "int32_t"
+    )
+
+
+def _cell(pointer: Pointer) -> Value:
+    """Return what a single number of the state is."""
+    if pointer.block.sizes or pointer.first.exact != 0:
+        raise FaultError(f"{pointer.block.name} is no single number")
+    return pointer.values(1)[0]
+
+
+def _require(value: Value, least: int, most: int, what: str) -> None:
+    if not least <= value.low <= value.high <= most:
+        raise FaultError(f"{what} is {value.low} .. {value.high}; {least} .. {most} is allowed")
+
+
+MOST = 128
+EPSILON = 1 << 60
+SPARE = 8
+"""A number's square is one of the squares, so that it is at most sqrt(M) of their mean's root; and
+what roundings add: 2^-27 of that, at most 6, and a half."""
+
+
+def normalise(
+    machine: IntervalMachine, layer: Struct, x: Pointer, y: Pointer, count: Value
+) -> None:
+    """Bound every sum by the sizes of its terms; the results by what the parts are limited to.
+
+    Args:
+        machine: runs the model.
+        layer: its constants.
+        x: int16 copies of what it reads.
+        y: the results.
+        count: how many there are.
+    """
+    n = number(count, 1, MOST, "the number of normalised values")
+    name = layer.name.removesuffix("_p")
+    if x.block is y.block:
+        raise FaultError(f"{name}: it reads what it writes")
+    align, gain, shift, bias = (
+        machine.table_of(layer, field) for field in ("align", "gain", "shift", "bias")
+    )
+    if any(len(row) != n for row in (align, gain, shift, bias)):
+        raise FaultError(f"{name}: its tables do not have {n} numbers")
+    epsilon, reciprocal, root, mean_shift = (
+        layer.fields[field].value(0).low
+        for field in ("epsilon", "reciprocal", "root", "mean_shift")
+    )
+    log = n.bit_length() - 1
+    wanted = (2 * (1 << 27 + log) + n) // (2 * n), isqrt(n << 52), 27 + log
+    if (reciprocal, root, mean_shift) != wanted or not 1 <= epsilon <= EPSILON:
+        raise FaultError(f"{name}: its constants are not those of {n} numbers")
+    for i in range(n):
+        for field, row in (("align", align), ("shift", shift)):
+            shift_right(machine, Value(0, 0), Value(row[i], row[i]), 62)
+            machine.note_shift(f"{name}[{i}].{field}", row[i])
+    machine.note_shift(f"{name}.mean_shift", mean_shift)
+    raised = []
+    for by, v in zip(align, x.values(n), strict=True):
+        half = 1 << by >> 1
+        raised.append(max(abs(((end << 12) + half) >> by) for end in (v.low, v.high)))
+    total = sum(raised)
+    product = total * reciprocal + (1 << mean_shift >> 1)
+    away = max(raised) + (product >> mean_shift) + 1
+    # the mean as an integer is at most `astray` from the true one
+    astray = total * abs(reciprocal * n - (1 << mean_shift)) // (n << mean_shift) + 2
+    squares = epsilon + sum(v * v for v in raised) + n * astray * astray
+    scale = (((1 << 30) + 4) * root) >> 29
+    machine.note(f"{name}.sum", -total, total, 64)
+    machine.note(f"{name}.mean", -product, product, 64)
+    machine.note(f"{name}.difference", -away, away, 32)
+    machine.note(f"{name}.squares", 0, squares, 63)
+    machine.note(f"{name}.scale", 0, scale, 32)
+    part = away * scale + (1 << 30)
+    machine.note(f"{name}.part", -part, part, 64)
+    results = []
+    for i in range(n):
+        scaled = (root + SPARE) * abs(gain[i]) + (1 << shift[i] >> 1)
+        largest = (scaled >> shift[i]) + 1 + abs(bias[i])
+        reach = largest + (1 << 14)
+        machine.note(f"{name}[{i}].product", -scaled, scaled, 64)
+        machine.note(f"{name}[{i}]", -reach, reach, 32)
+        ends = ((-largest + (1 << 14)) >> 15, (largest + (1 << 14)) >> 15)
+        machine.note(f"{name}[{i}].copy", *ends, 16)
+        results.append(Value(-largest, largest))
+    y.fill(results)
+    machine.shift = None
+
 
 SAVED_EXTRA = 16
 """Bytes that a saved state has more than the state."""

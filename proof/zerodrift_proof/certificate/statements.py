@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from zerodrift_proof.certificate.expressions import Expressions
-from zerodrift_proof.certificate.nodes import (
+from zerodrift_proof.certificate.parser import (
     CAlone,
     CAssign,
     CBinary,

@@ -1,41 +1,91 @@
-"""One way to read the model's C, held against the specification, function by function."""
+"""One way to read the model's C, held against the specification, function by function.
+
+What a proof tells part by part, and how the C's text is compared without its places.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
-from zerodrift_proof.equality.checksum import prove_checksum
-from zerodrift_proof.equality.elapsed import TESTED_ALONE, make_elapsed_rules, say_span
-from zerodrift_proof.equality.header import find_difference
-from zerodrift_proof.equality.layer_norm import NORM_TESTED, run_norm
-from zerodrift_proof.equality.lemmas import prove_exp2, prove_layer, prove_power, prove_tanh
+from zerodrift_proof.equality.lemmas import (
+    find_difference,
+    prove_checksum,
+    prove_exp2,
+    prove_layer,
+    prove_power,
+    prove_tanh,
+)
 from zerodrift_proof.equality.machine import TermMachine
-from zerodrift_proof.equality.memory import (
-    AddressOf,
-    CellBlock,
-    Found,
-    Instance,
-    Number,
-    Spot,
-)
+from zerodrift_proof.equality.memory import AddressOf, CellBlock, Found, Instance, Number, Spot
 from zerodrift_proof.equality.model import Model
-from zerodrift_proof.equality.parser import parse_all
-from zerodrift_proof.equality.parts import (
-    OPEN,
-    PROVEN,
-    TESTED,
-    UNCHECKED,
-    ShownPart,
-    shape,
-    shape_variable,
-    tell,
+from zerodrift_proof.equality.opaque import (
+    NORM_TESTED,
+    TESTED_ALONE,
+    make_elapsed_rules,
+    run_norm,
+    say_span,
 )
-from zerodrift_proof.equality.reader import preprocess
+from zerodrift_proof.equality.parser import parse_all
+from zerodrift_proof.equality.reader import RefusedError, preprocess
 from zerodrift_proof.equality.rules import Used, exact, make_rules
-from zerodrift_proof.equality.specification import Outcome, Specification
-from zerodrift_proof.equality.state import CHECK, DRIFT, IDENTITY, SLEPT, STEPS, TARED, State
-from zerodrift_proof.equality.syntax import PTypeName
+from zerodrift_proof.equality.specification import (
+    CHECK,
+    DRIFT,
+    IDENTITY,
+    SLEPT,
+    STEPS,
+    TARED,
+    Outcome,
+    Specification,
+    State,
+)
+from zerodrift_proof.equality.syntax import TYPES, PNode, PTypeName, PVariable
 from zerodrift_proof.equality.terms import UndecidedError, Whole
-from zerodrift_proof.equality.types import TYPES
+
+UNCHECKED = (UndecidedError, RefusedError, RecursionError, KeyError, ValueError)
+PROVEN, TESTED, OPEN = "proven", "tested, not proven", "not proven"
+
+
+@dataclass(frozen=True)
+class ShownPart:
+    """One thing that the C does, and whether it is what the specification says."""
+
+    what: str
+    """A function, a node, a table or a kernel."""
+    build: str
+    """Of which way to compile it."""
+    verdict: str
+    """proven | tested, not proven | not proven."""
+    why: str = ""
+    """Why it is not proven."""
+
+
+def tell(error: Exception) -> str:
+    """Return why something could not be shown."""
+    return str(error) if str(error) else type(error).__name__
+
+
+def shape_variable(variable: PVariable) -> tuple[object, ...]:
+    """Return a declaration without its place."""
+    first = None if variable.first is None else shape(variable.first)
+    return variable.type, variable.name, tuple(shape(s) for s in variable.sizes), first
+
+
+def shape(node: PNode) -> tuple[object, ...]:
+    """Return a node without the places of its tokens."""
+    parts: list[object] = [type(node).__name__]
+    for name, value in vars(node).items():
+        if name == "at":
+            continue
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, PNode):
+                parts.append(shape(one))
+            elif isinstance(one, PVariable):
+                parts.append(shape_variable(one))
+            else:
+                parts.append(tuple(one) if isinstance(one, list) else one)
+        parts.append(name)
+    return tuple(parts)
 
 
 class Proof:

@@ -16,10 +16,12 @@ from zerodrift_proof.equality.memory import (
     Holder,
     Instance,
     Number,
+    PathMachine,
     Spot,
 )
-from zerodrift_proof.equality.paths import PathMachine
 from zerodrift_proof.equality.syntax import (
+    LIMITS,
+    TYPES,
     Expression,
     Initialiser,
     PAlone,
@@ -49,7 +51,6 @@ from zerodrift_proof.equality.syntax import (
     walk,
 )
 from zerodrift_proof.equality.terms import UndecidedError, Whole
-from zerodrift_proof.equality.types import LIMITS, TYPES
 
 MOST_ROUNDS = 200_000
 DEEPEST = 40

@@ -1,27 +1,408 @@
-"""The C of a firmware folder as a compiler of C99 sees it: words, macros replaced.
+"""The C of a firmware folder as a compiler of C99 sees it: characters, lines with #, words.
+
+Characters of C to tokens, for the proof: what the generator never writes is refused.
+
+Refused in a model's own files, each with file, line and column: characters beyond ASCII's printed
+ones, tabs and carriage returns; trigraphs, digraphs and joined lines; character constants, string
+prefixes and escapes but \\n; comments to the end of a line, and comments within comments; numbers
+with another suffix than u, octal ones and fractions. A compiler that reads such text may see other
+tokens than these rules do. The runtime's files, whose text is known by its hash, may join lines and
+hold character constants as well.
+
+Source: C99, 5.1.1.2 (phases of translation) and 6.4. Needs the standard library only.
+
+The lines of a model's own files that begin with #: those that the generator writes, no others.
+
+A compiler defines macros that no list is complete of, so a condition may ask for the generator's
+own alone. Macros that are defined belong to the model and stand for one number or text; each is
+defined once. What C++ alone sees, and what the test harness alone defines, is one fixed text.
 
 No macro of a compiler or a processor is defined but those that are given. A model's own files may
-ask for none of these (`directives`); the runtime's do, and its text is known by its hash.
-Source: C99, 6.10 (preprocessing). Needs the standard library only.
+ask for none of these; the runtime's do, and its text is known by its hash. Source:
+C99, 6.10 (preprocessing). Needs the standard library only.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import lru_cache
 
-from zerodrift_proof.equality.directives import OwnFile, refuse
 from zerodrift_proof.equality.syntax import PTokens
-from zerodrift_proof.equality.tokens import (
-    NAME,
-    NUMBER,
-    SIGN,
-    TEXT,
-    Line,
-    RefusedError,
-    Token,
-    split,
+
+NAME, NUMBER, TEXT, CHARACTER, SIGN = "name", "number", "text", "character", "sign"
+SIGNS = (
+    *("<<=", ">>=", "->", "++", "--", "<<", ">>", "<=", ">=", "==", "!=", "&&", "||"),
+    *("+=", "-=", "*=", "|=", "&=", "^="),
+    *"{}[]();,.&*+-~!/%<>^|?:=#",
 )
+"""Punctuators that the generator and the runtime write."""
+REFUSED = ("%:%:", "...", "<:", ":>", "<%", "%>", "%:", "##", "/=", "%=")
+"""Punctuators of C99 that they do not; digraphs among them."""
+TRIGRAPH = re.compile(r"\?\?[=/'()!<>-]")
+JOINED = re.compile(r"\\[ \t\f\v\r]*\n")
+"""gcc and clang join lines over spaces behind the backslash, too."""
+INTEGER = re.compile(r"(?:0|[1-9][0-9]*|0x[0-9A-Fa-f]+)u?")
+
+
+def _any_of(signs: Sequence[str]) -> str:
+    return "|".join(re.escape(sign) for sign in sorted(signs, key=len, reverse=True))
+
+
+SCANNER = re.compile(
+    r"(?P<line>\n)|(?P<space> +)|(?P<joined>\\\n)|(?P<rest>//)|(?P<comment>/\*.*?\*/)|(?P<open>/\*)"
+    rf"|(?P<{NAME}>[A-Za-z_][A-Za-z0-9_]*)"
+    rf"|(?P<{NUMBER}>\.?[0-9](?:[eEpP][+-]|[A-Za-z0-9_.])*)"
+    rf'|(?P<{TEXT}>"(?:[ !#-\[\]-~]|\\n)*")'
+    rf"|(?P<{CHARACTER}>'[ -&(-\[\]-~]')"
+    rf"|(?P<refused>{_any_of(REFUSED)})"
+    rf"|(?P<{SIGN}>{_any_of(SIGNS)})",
+    re.S,
+)
+QUOTE = "'"
+STRANGE = {
+    QUOTE: "a character constant",
+    '"': "a text that does not end on its line, or with an escape other than \\n",
+    "\\": "a backslash",
+    "\t": "a tab",
+    "\r": "a carriage return",
+}
+
+
+AGAIN = (
+    "The generator never writes this, so that the proof has no rule for it: run `zerodrift"
+    " firmware` again"
+)
+
+
+class RefusedError(Exception):
+    """The C holds something that the generator never writes; nothing is claimed of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """A token of C, and where it stands."""
+
+    kind: str
+    """name | number | text | character | sign."""
+    text: str
+    place: str
+    """file:line:column; line and column count from 1."""
+    spaced: bool = True
+    """Whether white space or a comment stands before it."""
+
+
+Line = tuple[Token, ...]
+
+
+class Scanner:
+    """Splits one file."""
+
+    def __init__(self, text: str, file: str, known: bool) -> None:
+        """Stand at the beginning of a text.
+
+        Args:
+            text: of the file, each line's end as it is stored.
+            file: its name, for places.
+            known: whether it is a file of the runtime.
+        """
+        self._text, self._file, self._known = text, file, known
+        self._row, self._begin = 1, 0
+
+    def split(self) -> Iterator[Line]:
+        """Yield the lines that hold a token; of lines that are joined, the whole.
+
+        Raises:
+            RefusedError: a character or token that is never written.
+        """
+        self._refuse_anywhere()
+        found: list[Token] = []
+        at, spaced = 0, True
+        while at < len(self._text):
+            match = SCANNER.match(self._text, at)
+            if match is None:
+                raise self._error(at, self._name_strange(at))
+            kind, word = str(match.lastgroup), match[0]
+            if kind in (NAME, NUMBER, TEXT, CHARACTER, SIGN):
+                self._check(kind, word, at)
+                place = f"{self._file}:{self._row}:{at - self._begin + 1}"
+                found.append(Token(kind, word, place, spaced))
+                spaced = False
+            else:
+                spaced = True
+                self._check_between(kind, word, at)
+                if kind == "line" and found:
+                    yield tuple(found)
+                    found = []
+            rows = word.count("\n") if kind in ("line", "comment", "joined") else 0
+            if rows:
+                self._row, self._begin = self._row + rows, at + word.rindex("\n") + 1
+            at = match.end()
+        if found or (self._text and self._text[-1] != "\n"):
+            raise self._error(len(self._text), "the file does not end with a line")
+
+    def _refuse_anywhere(self) -> None:
+        """Refuse what is replaced before there are comments and texts."""
+        for pattern, what in ((TRIGRAPH, "a trigraph"), (JOINED, "a line joined with the next")):
+            for match in pattern.finditer(self._text):
+                if pattern is TRIGRAPH or not self._known:
+                    raise self._error(match.start(), what)
+        for at, letter in enumerate(self._text) if not self._text.isascii() else ():
+            if not letter.isascii():
+                raise self._error(at, f"{letter!r}, a letter beyond ASCII")
+        if strange := re.search(r"[^\n -~]", self._text):
+            at = strange.start()
+            raise self._error(at, STRANGE.get(self._text[at], "a control character"))
+
+    def _check(self, kind: str, word: str, at: int) -> None:
+        if kind == NAME and self._text[at + len(word) : at + len(word) + 1] in ("'", '"'):
+            raise self._error(at, f"'{word}' before a quotation mark")
+        if self._known:
+            return
+        if kind == CHARACTER:
+            raise self._error(at, STRANGE[QUOTE])
+        if kind == NUMBER and not INTEGER.fullmatch(word):
+            raise self._error(at, f"'{word}' is no whole number as the generator writes it")
+
+    def _check_between(self, kind: str, word: str, at: int) -> None:
+        if kind == "rest":
+            raise self._error(at, "a comment to the end of the line")
+        if kind == "open":
+            raise self._error(at, "a comment that does not end")
+        if kind == "refused":
+            raise self._error(at, f"'{word}'")
+        if kind == "comment" and ("/*" in word[2:] or JOINED.search(word)):
+            raise self._error(at, "a comment within a comment, or a joined line in one")
+
+    def _name_strange(self, at: int) -> str:
+        letter = self._text[at]
+        return STRANGE.get(letter, f"'{letter}'")
+
+    def _error(self, at: int, what: str) -> RefusedError:
+        row = self._text.count("\n", 0, at) + 1
+        column = at - (self._text.rfind("\n", 0, at) + 1) + 1
+        return RefusedError(f"{self._file}:{row}:{column}: {what}. {AGAIN}")
+
+
+@lru_cache(maxsize=64)
+def split(text: str, file: str, known: bool) -> tuple[Line, ...]:
+    """Return the lines of a file that hold a token.
+
+    Args:
+        text: of the file.
+        file: its name, for places.
+        known: whether it is a file of the runtime, the text of which is known by its hash.
+
+    Raises:
+        RefusedError: a character or token that is never written; with file, line and column.
+    """
+    return tuple(Scanner(text, file, known).split())
+
+
+HEADER = (
+    "# include < stdint . h >",
+    "# include < stddef . h >",
+    "# ifdef __cplusplus",
+    "# endif",
+    "# ifndef P_H",
+    "# define P_H",
+    r"# define P_\w+ (?:Nu?|UINT32_C \( N \)|S|\( Nu \+ sizeof \( p_state_t \) \))",
+)
+"""Patterns of the header's lines: N is a number, Nu one with a u, S a text, P and p the prefix."""
+SOURCE = (
+    "# include S",
+    "# error S",
+    r"# if (?:P_CODE_ID|ZD_RUNTIME_FORMAT|ZD_RUNTIME_ID) != Nx?",
+    "# ifndef ZD_OBSERVE",
+    r"# define ZD_OBSERVE \( values , count \)",
+    r"# define ZD_QUIET \( on \)",
+    r"# define ZD_CLAIM \( name , holds \) typedef char name \[ \( holds \) \? N : - N \]",
+    r"# (?:if|elif) ZD_KERNEL == ZD_KERNEL_(?:PAIRS|ROWS|COLUMNS)",
+    r"# (?:if|elif) ZD_ASSEMBLY (?:==|!=) N",
+    r"# if ZD_GRU_ASSEMBLY == N",
+    r"# if \( ZD_KERNEL == ZD_KERNEL_PAIRS \) && defined \( ZD_GRU_ASSEMBLY \)",
+    r"# if (?:! )?defined \( (?:ZD_SMALL|ZD_UNALIGNED|ZD_GRU_ASSEMBLY) \)",
+    "# else",
+    "# endif",
+)
+"""The same of the source."""
+CPLUSPLUS = ('extern "C" {', "}")
+CLAIM = ("typedef", "char", "name", "[", "(", "holds", ")", "?", "1", ":", "-", "1", "]")
+FUNCTIONS = ("ZD_OBSERVE", "ZD_QUIET", "ZD_CLAIM")
+"""Macros with parameters."""
+FREE = ("ZD_KERNEL", "ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY", "ZD_SMALL", "ZD_UNALIGNED")
+"""What a build may choose, that a model's file may ask for."""
+
+
+class Behind(Enum):
+    """What a condition asks for, which tells what may stand between it and its #endif."""
+
+    GUARD = "#ifndef PREFIX_H"
+    CPLUSPLUS = "#ifdef __cplusplus"
+    """One of two lines."""
+    OBSERVE = "#ifndef ZD_OBSERVE"
+    """Macros of the test harness, as they are without it."""
+    NUMBER = "a number of the runtime or the header"
+    """#error, and nothing else."""
+    WAY = "a way to build"
+    """Anything; #elif and #else too."""
+
+
+@dataclass
+class Group:
+    """The lines between a condition and its #endif."""
+
+    behind: Behind
+    lines: int = 0
+    """Without those of conditions."""
+    ended: bool = False
+    """Whether #else was."""
+
+
+class OwnFile:
+    """A file of the model: its lines of tokens."""
+
+    def __init__(self, name: str, prefix: str, lines: tuple[Line, ...]) -> None:
+        """Stand before the first line.
+
+        Args:
+            name: of the file.
+            prefix: of the model.
+            lines: of the file.
+        """
+        self._name, self._prefix, self._lines = name, prefix, lines
+        self._groups: list[Group] = []
+        self._open: list[str] = []
+        """The word before each round bracket that is open."""
+        self._before = ""
+        self._defined: set[str] = set()
+
+    def check(self) -> None:
+        """Look at every line that begins with #, whether a build reads it or not.
+
+        Raises:
+            RefusedError: one that the generator never writes.
+        """
+        is_header = self._name.endswith(".h")
+        patterns = [re.compile(text) for text in (HEADER if is_header else SOURCE)]
+        if is_header:
+            self._check_guard()
+        for line in self._lines:
+            if any(token.text == "#" for token in line[1:]):
+                raise refuse(line, "a # within a line")
+            if line[0].text != "#":
+                self._take_code(line)
+                continue
+            text = self._tell(line)
+            if not any(pattern.fullmatch(text) for pattern in patterns):
+                raise refuse(line, f"'{_join(line)}'")
+            if self._open and self._open[0] != "volatile":  # of assembly; others may be a macro's
+                raise refuse(line, "a line that begins with # within brackets")
+            self._follow(line, text)
+        if self._groups:
+            raise refuse(self._lines[-1], "the end of the file before an #endif")
+
+    def _tell(self, line: Line) -> str:
+        """Return a line with numbers, texts and the model's prefix in their general form."""
+        lower, upper = f"{self._prefix}_", f"{self._prefix.upper()}_"
+        words = []
+        for token in line:
+            word = token.text
+            if token.kind == NUMBER:
+                word = "N" + "u" * word.endswith("u") + "x" * word.startswith("0x")
+            elif token.kind == TEXT:
+                word = "S"
+            elif word.startswith(upper):
+                word = f"P_{word.removeprefix(upper)}"
+            elif word.startswith(lower):
+                word = f"p_{word.removeprefix(lower)}"
+            words.append(word)
+        return " ".join(words)
+
+    def _check_guard(self) -> None:
+        """The whole header stands between #ifndef PREFIX_H, #define PREFIX_H and #endif."""
+        name, lines = f"{self._prefix.upper()}_H", self._lines
+        found = [_join(lines[k]) for k in (0, 1, -1)] if len(lines) > 2 else []
+        if found != [f"# ifndef {name}", f"# define {name}", "# endif"]:
+            raise RefusedError(f"{self._name}:1:1: a header without its {name} around all. {AGAIN}")
+
+    def _take_code(self, line: Line) -> None:
+        for token in line:
+            if token.text == "(":
+                self._open.append(self._before)
+            elif token.text == ")" and self._open:
+                self._open.pop()
+            self._before = token.text
+        if not self._groups:
+            return
+        group = self._groups[-1]
+        group.lines += 1
+        alone = group.behind is Behind.CPLUSPLUS and _join(line) in CPLUSPLUS and group.lines == 1
+        if not alone and group.behind not in (Behind.GUARD, Behind.WAY):
+            raise refuse(line, f"code behind {group.behind.value}")
+
+    def _follow(self, line: Line, text: str) -> None:
+        word, group = line[1].text, self._groups[-1] if self._groups else Group(Behind.WAY)
+        if word in ("if", "ifdef", "ifndef"):
+            if group.behind not in (Behind.GUARD, Behind.WAY):
+                raise refuse(line, f"a condition behind {group.behind.value}")
+            self._groups.append(Group(self._find_kind(line, text)))
+        elif not self._groups and word in ("elif", "else", "endif"):
+            raise refuse(line, f"#{word} without its #if")
+        elif word in ("elif", "else"):
+            if group.behind is not Behind.WAY or group.ended:
+                raise refuse(line, f"#{word} behind {group.behind.value}, or behind #else")
+            group.ended = word == "else"
+        elif word == "endif":
+            if group.behind is Behind.GUARD and line is not self._lines[-1]:
+                raise refuse(line, "the header's last #endif before its end")
+            self._groups.pop()
+        elif word == "error":
+            group.lines += 1
+            if group.behind is not Behind.NUMBER or group.lines > 1:
+                raise refuse(line, "#error where no number is asked for")
+        elif word == "define":
+            self._define(line, group)
+        elif group.behind is not Behind.GUARD and self._groups:
+            raise refuse(line, "#include behind a condition")
+
+    def _find_kind(self, line: Line, text: str) -> Behind:
+        if text == "# ifndef P_H":
+            if line is not self._lines[0]:
+                raise refuse(line, "the header's guard a second time")
+            return Behind.GUARD
+        for kind, begin in ((Behind.CPLUSPLUS, "# ifdef __"), (Behind.OBSERVE, "# ifndef ZD_")):
+            if text.startswith(begin):
+                return kind
+        is_number = re.match("# if (?:P_|ZD_RUNTIME_)", text)
+        return Behind.NUMBER if is_number else Behind.WAY
+
+    def _define(self, line: Line, group: Group) -> None:
+        name, is_function = line[2].text, len(line) > 3 and not line[3].spaced
+        if name in self._defined:
+            raise refuse(line, f"{name} is defined again")
+        if is_function != (name in FUNCTIONS):
+            raise refuse(line, f"how {name} is defined")
+        if name == "ZD_CLAIM" and tuple(token.text for token in line[8:]) != CLAIM:
+            raise refuse(line, f"how {name} is defined")
+        in_header = self._name.endswith(".h")
+        wanted = Behind.GUARD if in_header else Behind.OBSERVE
+        if name == "ZD_CLAIM":
+            if self._groups:
+                raise refuse(line, f"{name} is defined behind a condition")
+        elif not self._groups or group.behind is not wanted:
+            raise refuse(line, f"{name} is defined elsewhere than behind {wanted.value}")
+        self._defined.add(name)
+
+
+def _join(line: Line) -> str:
+    return " ".join(token.text for token in line)
+
+
+def refuse(line: Line, what: str) -> RefusedError:
+    """Return the error of a line that the generator never writes."""
+    return RefusedError(f"{line[0].place}: {what}. {AGAIN}")
+
 
 PRECEDENCE = {"||": 1, "&&": 2, "==": 3, "!=": 3, "<": 4, ">": 4, "<=": 4, ">=": 4}
 DEEPEST = 64

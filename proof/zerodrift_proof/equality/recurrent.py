@@ -6,8 +6,18 @@ from functools import cached_property
 from typing import Protocol
 
 from zerodrift_proof.equality.kernels import RELAX_STEPS, Numbered
-from zerodrift_proof.equality.node import ANY, Ends, Field, Meaning, Node, State, Values
-from zerodrift_proof.equality.records import Cube, Row, Table
+from zerodrift_proof.equality.node import (
+    ANY,
+    Cube,
+    Ends,
+    Field,
+    Meaning,
+    Node,
+    Row,
+    State,
+    Table,
+    Values,
+)
 from zerodrift_proof.equality.terms import UndecidedError, Whole
 
 Several = list[list[Whole]]

@@ -1,15 +1,16 @@
 """What a model's file says, step by step, over terms: the meaning that the C must have.
 
+The fields of a model's state in the C, and what a sound state holds in them.
+
 Written from docs/reference/integer-arithmetic.md and integer-layers.md, node by node; reads the
-integer model and nothing of the C. The tests evaluate it beside the reference. The state is that
-of the C: a ring of samples with the place of the oldest, which stands for them in their order.
+integer model and nothing of the C. The tests evaluate it beside the reference. The state is that of
+the C: a ring of samples with the place of the oldest, which stands for them in their order.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from zerodrift_proof.equality.elapsed import say_fast
 from zerodrift_proof.equality.model import (
     FLAG_CLAMPED,
     FLAG_DAMAGED,
@@ -22,23 +23,50 @@ from zerodrift_proof.equality.model import (
     Conversion,
     Model,
 )
-from zerodrift_proof.equality.node import Meaning
-from zerodrift_proof.equality.state import (
-    ANSWERED,
-    CHECK,
-    DRIFT,
-    IDENTITY,
-    PREVIOUS,
-    SLEPT,
-    STEPS,
-    TARE,
-    TARED,
-    State,
-    count_warm_up,
-    list_fields,
-)
+from zerodrift_proof.equality.node import DRIFT, Ends, Field, Meaning, State
+from zerodrift_proof.equality.opaque import LONGEST, say_fast
+from zerodrift_proof.equality.syntax import TYPES
 from zerodrift_proof.equality.terms import Terms, UndecidedError, Whole
-from zerodrift_proof.equality.types import TYPES
+
+__all__ = ["DRIFT", "State"]
+
+IDENTITY, STEPS, PREVIOUS = "identity", "steps", "previous_temperature"
+CHECK, SLEPT = "check", "slept_us"
+ANSWERED, TARE, TARED = "answered", "tare", "tared"
+"""Fields of the state that no node has."""
+
+
+def count_warm_up(model: Model) -> int:
+    """Return where the count of steps ends."""
+    return max(model.guards.warm_up_steps, 1)
+
+
+def list_fields(model: Model) -> list[Field]:
+    """Return the fields of a model's state, in the order of the C."""
+    channels, full = model.channel_names, count_warm_up(model)
+    thermometer = model.guards.temperature_channel
+    kinds = [f"int{channel.bits}_t" for channel in model.channels]
+    fields = [Field(PREVIOUS, kinds[thermometer])]
+    fields += [Field(f"last_{channels[k]}", kinds[k]) for k in model.held]
+    if model.variable_step:
+        fields.append(Field(SLEPT, "int64_t", (), 0, LONGEST))
+    if model.tare:
+        fields.append(Field(ANSWERED, "int32_t", (len(model.outputs),)))
+        fields.append(Field(TARE, "int32_t", (len(model.outputs),)))
+        fields.append(Field(TARED, "int32_t", (), 0, 2))
+    if model.feeds_back:
+        fields.append(Field(DRIFT, "int32_t", (len(model.outputs),)))
+    ranges: dict[str, Ends] = {}
+    for node in model.nodes:
+        given = [ranges[name] for name in node.inputs]
+        fields += node.list_fields(given)
+        ranges[node.name] = node.bound(given)
+    if model.guarded:
+        fields.sort(key=lambda f: -int(f.type.strip("uint_")))
+    first = [Field(IDENTITY, "uint32_t"), Field(STEPS, "uint32_t", (), 0, full)]
+    last = [Field(CHECK, "uint32_t")] if model.guarded else []
+    return [*first, *fields, *last]
+
 
 START_PASSES = 4
 

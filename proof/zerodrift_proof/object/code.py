@@ -1,14 +1,49 @@
 """Instructions of Armv6-M and Armv7E-M as their bytes say: those that the kernels use, no others.
 
+An instruction of Armv6-M or Armv7E-M, decoded.
+
 Written from the Armv7-M Architecture Reference Manual (DDI 0403), chapter A7. An encoding that it
 calls unpredictable, or whose fixed bits are others than it says, is no instruction here. Needs the
 standard library only.
 """
 
+from dataclasses import dataclass
 from typing import NoReturn
 
 from zerodrift_proof.equality.terms import UndecidedError
-from zerodrift_proof.object.instruction import ALWAYS, LR, PC, SP, Instruction
+
+SP, LR, PC = 13, 14, 15
+ALWAYS = 14
+"""The condition of what has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """What an encoding says. Registers are 0 to 15; -1 where there is none."""
+
+    name: str
+    size: int
+    """2 or 4 bytes."""
+    d: int = -1
+    n: int = -1
+    m: int = -1
+    a: int = -1
+    """The third operand, or the upper half of a long result."""
+    value: int = 0
+    """An immediate, an offset in bytes or a branch's distance from the next instruction but one."""
+    shift: str = "lsl"
+    by: int = 0
+    sets: bool = False
+    """Whether flags are set."""
+    registers: tuple[int, ...] = ()
+    before: bool = False
+    """Of an address: the offset is added before the access."""
+    back: bool = False
+    """Of an address: it is written back."""
+    condition: int = ALWAYS
+    carry: int | None = None
+    """Of an immediate: the carry that making it leaves."""
+
 
 SHIFTS = ("lsl", "lsr", "asr", "ror")
 ALU = {0: "and", 1: "bic", 2: "orr", 4: "eor", 8: "add", 10: "adc", 11: "sbc", 13: "sub", 14: "rsb"}

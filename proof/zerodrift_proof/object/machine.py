@@ -1,18 +1,292 @@
-"""A Cortex-M over terms: each instruction of an object file, with what it does to words.
+"""A Cortex-M over terms: its memory, its flags, and what each instruction does.
+
+The memory that a kernel sees: the program's constants, its arguments and its stack.
+
+Each array that it is given, and the stack, lies at an address that is a symbol: they may be
+anywhere, but do not overlap. What is below the stack pointer is nobody's: an interrupt may write
+there at any time.
+
+The flags of a Cortex-M: each is worked out where it is asked for.
+
+Instructions that set no flags of their own: products, halves, bytes, limits.
 
 Registers hold terms modulo 2^32 or curves, flags are worked out where they are asked for. Whatever
 has no rule, and every branch that hangs on a number that is not known, ends the run undecided.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
 from zerodrift_proof.equality.terms import UndecidedError, Whole
-from zerodrift_proof.object.code import decode
-from zerodrift_proof.object.curves import TABLE, WIDE, Curves, Word, WordCurve
-from zerodrift_proof.object.flags import Flag, Flags, set_flags, unknown
+from zerodrift_proof.object.code import ALWAYS, LR, PC, SP, Instruction, decode
 from zerodrift_proof.object.image import Image
-from zerodrift_proof.object.instruction import LR, PC, SP, Instruction
-from zerodrift_proof.object.memory import LOWEST, ObjectMemory
-from zerodrift_proof.object.parts import Parts
-from zerodrift_proof.object.words import WORD, Words, WordTerms
+from zerodrift_proof.object.words import (
+    LIMITED,
+    TABLE,
+    WIDE,
+    WORD,
+    Curves,
+    Word,
+    WordCurve,
+    Words,
+    WordTerms,
+)
+
+LOWEST = -(1 << 16)
+"""Of the stack, in bytes from where a call finds it."""
+
+
+@dataclass
+class Area:
+    """An array or the stack."""
+
+    name: str
+    base: Whole
+    """Its address."""
+    first: int
+    """Bytes from the base where it may be read from."""
+    end: int
+    align: int
+    """2 or 4: what the base is a multiple of."""
+    writable: bool = False
+    write_end: int = 0
+    """Bytes from the base up to where it may be written."""
+    words: dict[int, Whole] = field(default_factory=dict)
+    """By their place, a multiple of 4."""
+    halves: dict[int, Whole] = field(default_factory=dict)
+    """Numbers with a sign, by their place; no place is in both."""
+
+
+class ObjectMemory:
+    """Loads and stores of words and halves."""
+
+    def __init__(self, words: Words, image: Image) -> None:
+        """Begin with the program's constants."""
+        self.words, self.image = words, image
+        self.areas: dict[int, Area] = {}
+        """By the number of the base."""
+
+    def give(self, area: Area) -> Whole:
+        """Add an area; return its address."""
+        self.areas[area.base.number] = area
+        return area.base
+
+    def _find(self, address: Whole) -> tuple[Area | None, int]:
+        """Return where an address lies: an area and a place in it, or None and a number."""
+        constant, sums = self.words.terms.split(address)
+        sums = tuple((n, f % WORD) for n, f in sums if f % WORD)
+        at = (constant + WORD // 2) % WORD - WORD // 2
+        if not sums:
+            return None, at % WORD
+        if len(sums) == 1 and sums[0][1] == 1 and sums[0][0] in self.areas:
+            return self.areas[sums[0][0]], at
+        raise UndecidedError("an address that is not known")
+
+    def _hold(self, area: Area, at: int, size: int, floor: int, write: bool) -> None:
+        end = area.write_end if write else area.end
+        first = max(area.first, floor) if area.name == "stack" else area.first
+        if (write and not area.writable) or at < first or at + size > end:
+            done = "written" if write else "read"
+            raise UndecidedError(f"{size} bytes at {at} of {area.name} are {done}")
+
+    def load(self, address: Whole, size: int, signed: bool, floor: int, loose: bool) -> Whole:
+        """Return what lies at an address.
+
+        Args:
+            address: of the first byte.
+            size: 2 or 4 bytes.
+            signed: whether fewer than 4 are extended with their sign.
+            floor: the stack pointer, in bytes from where it was at the call.
+            loose: whether the instruction may read a word from any even address.
+        """
+        area, at = self._find(address)
+        if area is None:
+            if at % (2 if loose and size == 4 and self.image.unaligned else size):
+                raise UndecidedError(f"{size} bytes are read at {at:#x}")
+            content = self.image.read(at, size)
+            if content is None:
+                raise UndecidedError(f"{at:#x} is read, which may change or is not there")
+            return self.words.number(int.from_bytes(content, "little", signed=signed or size == 4))
+        self._hold(area, at, size, floor, False)
+        aligned = at % size == 0 and size <= area.align
+        if not (aligned or (loose and self.image.unaligned and at % 2 == 0)):
+            raise UndecidedError(f"{size} bytes are read at {at} of {area.name}")
+        if size == 4:
+            if at in area.words:
+                return area.words[at]
+            return self.words.pack(self._half(area, at), self._half(area, at + 2))
+        half = self._half(area, at)
+        return half if signed else self.words.residue(half, 16, False)
+
+    def _half(self, area: Area, at: int) -> Whole:
+        whole = at & ~3
+        if whole in area.words:
+            word = area.words[whole]
+            return self.words.high_half(word) if at & 2 else self.words.low_half(word)
+        if at not in area.halves:
+            raise UndecidedError(f"{area.name} is read at {at} before it is written")
+        return area.halves[at]
+
+    def store(self, address: Whole, size: int, value: Whole, floor: int) -> None:
+        """Write a word or half to an address."""
+        area, at = self._find(address)
+        if area is None:
+            raise UndecidedError(f"{at:#x} is written")
+        self._hold(area, at, size, floor, True)
+        if at % size or size > area.align:
+            raise UndecidedError(f"{size} bytes are written at {at} of {area.name}")
+        if size == 4:
+            area.halves.pop(at, None)
+            area.halves.pop(at + 2, None)
+            area.words[at] = value
+            return
+        whole = at & ~3
+        if whole in area.words:
+            low, high = self._half(area, whole), self._half(area, whole + 2)
+            del area.words[whole]
+            area.halves[whole], area.halves[whole + 2] = low, high
+        area.halves[at] = self.words.low_half(value)
+
+    def release(self, floor: int) -> None:
+        """Forget what lies below the stack pointer."""
+        for area in self.areas.values():
+            if area.name == "stack":
+                for cells in (area.words, area.halves):
+                    for at in [at for at in cells if at < floor]:
+                        del cells[at]
+
+
+Flag: TypeAlias = Callable[[], Word]
+
+
+def unknown() -> Word:
+    """Of a flag that is asked for: there is no rule for it."""
+    raise UndecidedError("a flag that nothing has set, or that has no rule")
+
+
+@dataclass(frozen=True)
+class Flags:
+    """How to find each flag, 0 or 1."""
+
+    n: Flag = unknown
+    z: Flag = unknown
+    c: Flag = unknown
+    v: Flag = unknown
+
+    def hold(self, condition: int, curves: Curves) -> Word:
+        """Return whether a condition holds.
+
+        Raises:
+            UndecidedError: it takes two flags or more, of which one is not known.
+        """
+        if condition == ALWAYS:
+            return curves.words.number(1)
+        kind = condition >> 1
+        if kind < 4:
+            truth = (self.z, self.c, self.n, self.v)[kind]()
+        else:
+            asked = (self.n(), self.v(), self.z(), self.c())
+            n, v, z, c = (w.exact if isinstance(w, Whole) else None for w in asked)
+            if None in (n, v, z, c):
+                raise UndecidedError("a condition of numbers that are not known")
+            held = (c == 1 and z == 0, n == v, n == v and z == 0)[kind - 4]
+            truth = curves.words.number(int(held))
+        if condition & 1:
+            return curves.apply(("not",), curves.terms.negate, truth)
+        return truth
+
+
+def set_flags(curves: Curves, result: Word, carry: Flag, overflow: Flag) -> Flags:
+    """Return the flags of a result."""
+    words = curves.words
+    return Flags(
+        lambda: curves.apply(("sign",), words.sign, result),
+        lambda: curves.apply(("zero",), words.is_zero, result),
+        carry,
+        overflow,
+    )
+
+
+class Parts:
+    """What they make of words."""
+
+    def __init__(self, words: Words, curves: Curves) -> None:
+        """Make words with these."""
+        self.words, self.curves, self.terms = words, curves, words.terms
+
+    def shift(self, word: Word, kind: str, by: int) -> Word:
+        """Return a word shifted by 0 to 32."""
+        if by == 0:
+            return word
+        ways = {"lsl": self.words.lsl, "lsr": self.words.lsr, "asr": self.words.asr}
+        way = ways.get(kind, self.words.ror)
+        return self.curves.apply((kind, by), lambda a: way(a, by), word)
+
+    def limit(self, word: Word, bits: int, signed: bool) -> Word:
+        """Return a word limited to bits; to 20 it is what the table of tanh is read with."""
+        words = self.words
+        if isinstance(word, Whole) and signed and word.exact is None:
+            t, edge = words.signed(word), 1 << (bits - 1)
+            if bits == 20:
+                word = self.curves.begin(TABLE, t)
+            elif t.low < -edge or t.high >= edge:
+                word = self._begin_limit(t, bits)
+        return self.curves.apply(
+            ("limit", bits, signed), lambda a: words.limit(a, bits, signed), word
+        )
+
+    def begin_lines(self, word: Word) -> Word:
+        """Return a word whose line of tanh's table is asked for: a curve over these lines."""
+        if isinstance(word, Whole) and word.exact is None:
+            return self.curves.begin(TABLE, self.words.signed(word))
+        return word
+
+    def _begin_limit(self, t: Whole, bits: int) -> Word:
+        """Return a number that is to be limited as a curve, of its half where it is even."""
+        constant, sums = self.terms.split(t)
+        every = [abs(n) for n in (constant, *(f for _, f in sums)) if n]
+        twos = min((n & -n).bit_length() - 1 for n in every)
+        twos = min(twos, bits - 1)
+        base = self.curves.begin(LIMITED, self.terms.shift(t, twos), bits - twos)
+        return self.shift(base, "lsl", twos)
+
+    def make(self, one: Instruction, n: Word, m: Word, a: Word) -> Word:
+        """Return what an instruction gives of its operands; one that it lacks is 0.
+
+        Raises:
+            UndecidedError: it has no rule.
+        """
+        words, terms, apply, name = self.words, self.terms, self.curves.apply, one.name
+        if name in ("mul", "mla"):
+            return apply(
+                ("mla",), lambda x, y, z: terms.add(words.multiply(x, y), z), n, m, a
+            )  # fmt: skip
+        if name in ("smlad", "smuad"):
+            return apply(("smlad",), words.multiply_halves, n, m, a)
+        if name.startswith("smm"):
+            rounded = name.endswith("r")
+            way = words.multiply_high
+            return apply((name,), lambda x, y, z: way(x, y, z, rounded), n, m, a)
+        if name in ("pkhbt", "pkhtb"):
+            m = self.shift(m, one.shift, one.by)
+            if name == "pkhbt":
+                return apply((name,), lambda x, y: words.pack(x, words.high_half(y)), n, m)
+            return apply((name,), lambda x, y: words.pack(y, words.high_half(x)), n, m)
+        if name in ("sxth", "uxth", "sxtb", "uxtb"):
+            m, bits = self.shift(m, one.shift, one.by), 16 if name.endswith("h") else 8
+            signed = name.startswith("s")
+            return apply((name,), lambda x: words.residue(x, bits, signed), m)
+        if name == "sxtb16":
+            return apply((name,), words.extend_bytes, self.shift(m, "ror", one.by))
+        if name == "uqadd8":
+            return apply((name,), words.add_bytes, n, m)
+        if name == "clz":
+            return apply((name,), words.count_zeros, m)
+        if name == "movt":
+            return apply((name,), lambda x: words.pack(x, words.number(one.value)), n)
+        raise UndecidedError(f"{name} has no rule")
+
 
 MOST = 4_000_000
 """Instructions of a call."""

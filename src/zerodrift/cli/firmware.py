@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -139,6 +140,7 @@ def command(
     )
 
     refuse_shared_program(directory, sensor)
+    import_module("zerodrift.verify.checkers")  # told before anything is trained
     console = open_terminal(stderr=True)
     left = NO_TRAINING
     if request:

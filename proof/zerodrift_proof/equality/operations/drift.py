@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Values
-from zerodrift_proof.equality.records import Row, Table
+from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row, Table, Values
 from zerodrift_proof.equality.terms import Whole
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.elapsed import say_time
 from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.opaque import say_time
 from zerodrift_proof.equality.terms import Whole
 
 

@@ -6,8 +6,7 @@ from itertools import chain
 from typing import ClassVar
 
 from zerodrift_proof.equality.kernels import H_LIMIT_Q30, Numbered
-from zerodrift_proof.equality.node import Field, State
-from zerodrift_proof.equality.records import Cube, Row, Table
+from zerodrift_proof.equality.node import Cube, Field, Row, State, Table
 from zerodrift_proof.equality.recurrent import Recurrent, Several, lay_out, name_layers
 from zerodrift_proof.equality.terms import Whole
 

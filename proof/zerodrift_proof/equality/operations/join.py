@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node
-from zerodrift_proof.equality.records import Row
+from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row
 from zerodrift_proof.equality.terms import Whole
 
 

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.layer_norm import Normalisation, say_norm
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node
-from zerodrift_proof.equality.records import Row
+from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row
+from zerodrift_proof.equality.opaque import Normalisation, say_norm
 from zerodrift_proof.equality.terms import Whole
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.elapsed import MARGIN, bound_waiting, say_lowpass
 from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.opaque import MARGIN, bound_waiting, say_lowpass
 from zerodrift_proof.equality.terms import Whole
 
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from zerodrift_proof.equality.kernels import Power, find_power
-from zerodrift_proof.equality.node import Ends, Meaning, Node
-from zerodrift_proof.equality.records import Row
+from zerodrift_proof.equality.node import Ends, Meaning, Node, Row
 from zerodrift_proof.equality.terms import Whole
 
 
