@@ -87,9 +87,12 @@ def _run(given: argparse.Namespace) -> int:
         _print_certificate(outcome, given.json)
         good = not outcome.failures
     if both or given.prove:
-        model = load_model(find_model(folder, given.model))
+        model = load_model(path := find_model(folder, given.model))
         texts = read_texts(folder, model.prefix)
-        shown = tuple(list_shown(model, texts, program=given.elf))
+        try:
+            shown = tuple(list_shown(model, texts, program=given.elf))
+        except (ArithmeticError, AssertionError, LookupError, TypeError) as error:
+            raise MissingError(f"{path}: its parts do not fit together ({error!r:.80}).") from error
         _print_proof(model, shown, given.json)
         good = is_proven(shown) and good
     return 0 if good else 1

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def install(source: Path, place: Path) -> None:
     """Build the wheel of a distribution and install it, without what it needs, into a folder."""
-    folder = place.parent / source.name
+    folder = Path(tempfile.mkdtemp(dir=place.parent))
     pip = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
     build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source))
     subprocess.run([*pip, *build], check=True)

@@ -1,14 +1,18 @@
 """The checkers run alone: Python's standard library, their own folder and the firmware's files."""
 
+import copy
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import ARMAttributesSection
 
+from tests.fixed_point.test_mutated_models import SHAPES, mutate, write
+from tests.golden.model_factory import draw_model
 from tests.golden.vectors import load
 from tests.house.test_order import ROOT
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
@@ -17,9 +21,12 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.proof import build_program
+from zerodrift_proof.command import MissingError, load_model, main
 from zerodrift_proof.object.image import CPU_ARCH, FUNCTION, UNALIGNED_ACCESS, ElfError, read_elf
 from zerodrift_proof.object.program import BUILDS
 
+SHARE = 0.05
+"""Of the changed models that are read, so many are proven too, which takes seconds."""
 ALONE = """
 import runpy, sys
 sys.path.insert(0, {proof!r})
@@ -72,6 +79,34 @@ def test_alone_it_shows_what_verify_shows(folder: Path) -> None:
     done = run_alone(str(folder), "--certificate", "--json")
     assert done.returncode == 1
     assert json.loads(done.stdout)["certificate"] == "refused"
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_no_change_of_a_model_is_proven_or_a_traceback(name: str, tmp_path: Path) -> None:
+    """Each file is given the hash of its new content; the C is the old model's."""
+    model, rng = draw_model(SHAPES[name], 3), np.random.default_rng(7)
+    code = generate(model)
+    texts = {code.header_name: code.header, code.source_name: code.source}
+    texts |= {path.name: path.read_text() for path in RUNTIME_FILES}
+    for file, text in texts.items():
+        (tmp_path / file).write_text(text)
+    path = tmp_path / "model.json"
+    model.save(path)
+    whole, refused = json.loads(path.read_text()), 0
+    for _ in range(400):
+        body = copy.deepcopy(whole)
+        what = mutate(body, rng)
+        write(path, body)
+        try:
+            read = load_model(path)
+        except MissingError:
+            refused += 1
+            continue
+        except Exception as error:
+            raise AssertionError(f"{what}: {error!r}") from error
+        if read.hash != model.hash and rng.random() < SHARE:
+            assert main([str(tmp_path), "--prove"]) in (1, 2), what
+    assert refused > 100
 
 
 def test_what_is_missing_or_damaged_is_named(folder: Path) -> None:

@@ -351,12 +351,31 @@ def read_model(body: object, where: str = "model.json") -> Model:
         nodes.append(node)
     if not nodes or not isinstance(nodes[-1], Drift):
         raise ValueError(f"{where}: the last node is not 'drift'")
+    _check_places(where, head, nodes)
     forced = isinstance(head.notes, Mapping) and bool(head.notes.get("forced"))
     return Model(found, head, tuple(nodes), nodes[-1], forced)
 
 
+def _check_places(where: str, head: _Head, nodes: list[Node]) -> None:
+    """Raise where something reads a channel or an output that is not there."""
+    channels, outputs = len(head.channels), len(head.outputs)
+    for one in head.channels:
+        if one.bits not in (16, 32) or one.raw_type not in RAW:
+            raise ValueError(f"{where}: channel '{one.name}' has {one.bits} bits, {one.raw_type}")
+    read = [("channel", head.guards.temperature_channel, channels)]
+    read += [("channel", channel, channels) for channel, _, _ in head.guards.ranges]
+    for node in nodes:
+        most = {"channel": channels, "output": outputs}
+        read += [(name, vars(node).get(name, 0), count) for name, count in most.items()]
+        if any(layer.inputs < 1 for layer in node.numbered):
+            raise ValueError(f"{where}: '{node.name}' has a layer that reads nothing")
+    for name, index, count in read:
+        if not 0 <= index < count:
+            raise ValueError(f"{where}: {name} {index} of {count} is read")
+
+
 def _read_node(body: object, where: str) -> Node:
     kind = body.get("kind") if isinstance(body, Mapping) else None
-    if not isinstance(body, Mapping) or kind not in KINDS:
+    if not isinstance(body, Mapping) or not isinstance(kind, str) or kind not in KINDS:
         raise ValueError(f"{where}: '{kind}' has no rule; known are {', '.join(KINDS)}")
     return read_record(KINDS[kind], {k: v for k, v in body.items() if k != "kind"}, where)

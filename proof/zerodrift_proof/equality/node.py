@@ -29,6 +29,13 @@ Cube: TypeAlias = tuple[Table, ...]
 T = TypeVar("T")
 
 
+MOST = {
+    **dict.fromkeys(("align", "bits", "block_bits", "cell_bits", "multiplier_shift", "shift"), 63),
+    **dict.fromkeys(("fraction_bits", "steps", "window"), 2**15 - 1),
+}
+"""Keys -> the largest number there that any C can have: of a shift, of places in a ring."""
+
+
 def read_record(kind: type[T], body: object, where: str) -> T:
     """Return a JSON object as a dataclass.
 
@@ -51,7 +58,13 @@ def read_record(kind: type[T], body: object, where: str) -> T:
     missing = sorted(needed - body.keys())
     if unknown or missing:
         raise ValueError(f"{where}: has keys {unknown} that are unknown, and lacks {missing}")
-    return kind(**{name: _read(hints[name], body[name], f"{where}.{name}") for name in body})
+    found = {name: _read(hints[name], body[name], f"{where}.{name}") for name in body}
+    for name in MOST.keys() & found.keys():
+        given = found[name]
+        several = given if isinstance(given, tuple) else (given,)
+        if any(isinstance(n, int) and not 0 <= n <= MOST[name] for n in several):
+            raise ValueError(f"{where}.{name}: is {given!r:.40}; 0 to {MOST[name]} can be")
+    return kind(**found)
 
 
 def _read(kind: object, value: object, where: str) -> object:
