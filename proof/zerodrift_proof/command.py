@@ -88,7 +88,7 @@ def _run(given: argparse.Namespace) -> int:
         good = not outcome.failures
     if both or given.prove:
         model = load_model(path := find_model(folder, given.model))
-        texts = read_texts(folder, model.prefix)
+        texts = read_texts(folder, model.c_prefix)
         try:
             shown = tuple(list_shown(model, texts, program=given.elf))
         except (ArithmeticError, AssertionError, LookupError, TypeError) as error:

@@ -2,7 +2,7 @@
 
 The checker has no rules for intrinsics and for what a kernel does inside: kernels are taken at
 their specification. That holds for the texts known here and no others, whatever runtime is beside a
-model. Shares no code with the generator and needs the standard library only.
+model.
 """
 
 import hashlib

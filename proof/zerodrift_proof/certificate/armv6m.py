@@ -1,7 +1,4 @@
-"""Known assembly of Armv6-M and Armv8-M baseline (Cortex-M0, M0+, M23), line by line.
-
-Shares no code with the generator and needs the standard library only.
-"""
+"""Known assembly of Armv6-M and Armv8-M baseline (Cortex-M0, M0+, M23), line by line."""
 
 from collections.abc import Iterator, Sequence
 

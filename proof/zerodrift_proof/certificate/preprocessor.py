@@ -8,8 +8,7 @@ in the text than those that are found here.
 
 Every way that a build can take through them is read (docs/reference/generated-c.md). No condition
 is evaluated but those that the generator writes, by what the runtime makes of a build; any other is
-refused with file, line and column. Shares no code with the generator and needs the standard library
-only.
+refused with file, line and column.
 """
 
 import itertools

@@ -1,7 +1,7 @@
 """The statements of a generated model's C, run over intervals.
 
 Both arms of a branch are run where its condition is not known, and a loop for any index at once
-where its ends are not. Shares no code with the generator and needs the standard library only.
+where its ends are not.
 """
 
 from collections.abc import Mapping

@@ -29,15 +29,8 @@ from zerodrift_proof.equality.kernels import (
 from zerodrift_proof.equality.machine import TermMachine
 from zerodrift_proof.equality.memory import AddressOf, CellBlock, Found, Instance, Number, Spot
 from zerodrift_proof.equality.model import (
-    FLAG_CLAMPED,
-    FLAG_DAMAGED,
-    FLAG_INPUT_RANGE,
-    FLAG_NO_READING,
-    FLAG_RATE_RANGE,
-    FLAG_TARED,
-    FLAG_TEMPERATURE_RANGE,
-    FLAG_WARMING_UP,
     FORMAT,
+    Flag,
     Model,
 )
 from zerodrift_proof.equality.rules import read_c_power
@@ -83,19 +76,12 @@ def _list_expected(model: Model) -> dict[str, int | str]:
     for index, (name, output) in enumerate(zip(model.output_names, model.outputs, strict=True)):
         told[name.upper()] = index
         told[f"{name.upper()}_LSB_PER_UNIT"] = output.lsb_per_unit
-    told |= {
-        "FLAG_WARMING_UP": FLAG_WARMING_UP,
-        "FLAG_TEMPERATURE_RANGE": FLAG_TEMPERATURE_RANGE,
-        "FLAG_RATE_RANGE": FLAG_RATE_RANGE,
-        "FLAG_CLAMPED": FLAG_CLAMPED,
-        "FLAG_DAMAGED": FLAG_DAMAGED,
+    absent = {
+        Flag.INPUT_RANGE: not model.guards.ranges,
+        Flag.NO_READING: not model.optional,
+        Flag.TARED: not model.tare,
     }
-    if model.guards.ranges:
-        told["FLAG_INPUT_RANGE"] = FLAG_INPUT_RANGE
-    if model.optional:
-        told["FLAG_NO_READING"] = FLAG_NO_READING
-    if model.tare:
-        told["FLAG_TARED"] = FLAG_TARED
+    told |= {f"FLAG_{one.name}": int(one) for one in Flag if not absent.get(one, False)}
     return told | {f"FAULT_{name}": value for name, value in FAULTS.items()}
 
 

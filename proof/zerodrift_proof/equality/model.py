@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 
 from zerodrift_proof.equality.node import Node, Row, read_record
@@ -108,13 +109,23 @@ def sanitize_names(
     return names
 
 
-FORMAT, OLDER_FORMAT = 3, 2
-"""Versions of the arithmetic; the older one has no codes for no reading, ranges, conversions."""
+FORMAT = 3
+"""Version of the arithmetic, which knows what the older one did."""
 RAW = {"uint16": (0, 2**16 - 1), "int16": (-(2**15), 2**15 - 1), "int32": (-(2**31), 2**31 - 1)}
 """What a chip may be given -> its least and largest code."""
-FLAG_WARMING_UP, FLAG_TEMPERATURE_RANGE, FLAG_RATE_RANGE, FLAG_CLAMPED = 1, 2, 4, 8
-FLAG_DAMAGED, FLAG_INPUT_RANGE, FLAG_NO_READING, FLAG_TARED = 16, 32, 64, 256
-"""What a step may return (section 5 of the arithmetic)."""
+
+
+class Flag(IntEnum):
+    """What a step may return (section 5 of the arithmetic)."""
+
+    WARMING_UP = 1
+    TEMPERATURE_RANGE = 2
+    RATE_RANGE = 4
+    CLAMPED = 8
+    DAMAGED = 16
+    INPUT_RANGE = 32
+    NO_READING = 64
+    TARED = 256
 
 
 @dataclass(frozen=True)
@@ -219,18 +230,15 @@ class _Head:
     variable_step: bool = False
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, kw_only=True)
+class Model(_Head):
     """What a chip computes."""
 
     hash: str
     """SHA-256 of the file's content without hash and notes, keys sorted, no spaces."""
-    head: _Head
     nodes: tuple[Node, ...]
     drift: Drift
     """The last node, which gives the answer."""
-    forced: bool
-    """Whether it was written although the gate refused it."""
 
     @property
     def identity(self) -> int:
@@ -238,45 +246,20 @@ class Model:
         return int(self.hash[:8], 16) or 1
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The inputs."""
-        return self.head.channels
-
-    @property
-    def outputs(self) -> tuple[Output, ...]:
-        """The outputs."""
-        return self.head.outputs
-
-    @property
-    def guards(self) -> Guards:
-        """What it checks of itself."""
-        return self.head.guards
-
-    @property
-    def guarded(self) -> bool:
-        """Whether the state has a checksum."""
-        return self.head.guarded
-
-    @property
-    def tare(self) -> bool:
-        """Whether the drift can be counted from a moment on."""
-        return self.head.tare
-
-    @property
-    def variable_step(self) -> bool:
-        """Whether each step is told the time since the last one."""
-        return self.head.variable_step
+    def forced(self) -> bool:
+        """Whether it was written although the gate refused it."""
+        return isinstance(self.notes, Mapping) and bool(self.notes.get("forced"))
 
     @property
     def sample_period_us(self) -> int | None:
         """The sample period as the header tells it; None where 32 bits do not hold it."""
-        told = self.head.sample_period_s * 1e6
+        told = self.sample_period_s * 1e6
         return round(told) if told < 2**32 - 1 else None
 
     @property
     def period_us(self) -> int:
         """The sample period in microseconds, 1 at least."""
-        return max(round(self.head.sample_period_s * 1e6), 1)
+        return max(round(self.sample_period_s * 1e6), 1)
 
     @property
     def optional(self) -> tuple[int, ...]:
@@ -289,12 +272,6 @@ class Model:
         return tuple(i for i in self.optional if i != self.guards.temperature_channel)
 
     @property
-    def format(self) -> int:
-        """The oldest version of the arithmetic that knows all that the model uses."""
-        newer = self.optional or self.guards.ranges or any(c.conversion for c in self.channels)
-        return FORMAT if newer else OLDER_FORMAT
-
-    @property
     def recurrents(self) -> tuple[Node, ...]:
         """The nodes that hold recurrent layers."""
         return tuple(node for node in self.nodes if node.numbered)
@@ -305,9 +282,9 @@ class Model:
         return any(node.reads_drift for node in self.nodes)
 
     @cached_property
-    def prefix(self) -> str:
+    def c_prefix(self) -> str:
         """What every name of the C begins with."""
-        return sanitize_prefix(self.head.prefix or self.head.name)
+        return sanitize_prefix(self.prefix or self.name)
 
     @cached_property
     def channel_names(self) -> list[str]:
@@ -317,7 +294,7 @@ class Model:
     @cached_property
     def output_names(self) -> list[str]:
         """The outputs' names in the header, in lower case."""
-        return sanitize_outputs((o.name for o in self.outputs), self.prefix)
+        return sanitize_outputs((o.name for o in self.outputs), self.c_prefix)
 
 
 def read_model(body: object, where: str = "model.json") -> Model:
@@ -352,8 +329,7 @@ def read_model(body: object, where: str = "model.json") -> Model:
     if not nodes or not isinstance(nodes[-1], Drift):
         raise ValueError(f"{where}: the last node is not 'drift'")
     _check_places(where, head, nodes)
-    forced = isinstance(head.notes, Mapping) and bool(head.notes.get("forced"))
-    return Model(found, head, tuple(nodes), nodes[-1], forced)
+    return Model(**vars(head), hash=found, nodes=tuple(nodes), drift=nodes[-1])
 
 
 def _check_places(where: str, head: _Head, nodes: list[Node]) -> None:

@@ -125,6 +125,17 @@ DRIFT = "drift"
 """The state's field of the drift that the step before gave, where some node reads it."""
 
 
+class Moment(NamedTuple):
+    """What a step may read."""
+
+    state: State
+    """All fields as they were."""
+    codes: Sequence[Whole]
+    """Of the channels."""
+    values: Values
+    """Of the nodes before it."""
+
+
 class Ends(NamedTuple):
     """The range of a whole number, both ends included."""
 
@@ -232,8 +243,8 @@ class Node:
         return False
 
     def bound(self, given: Sequence[Ends]) -> Ends:
-        """Return the range of what it gives, for any inputs in theirs; `ANY` of a vector."""
-        raise NotImplementedError
+        """Return the range of what it gives, for any inputs in theirs; left out for a vector."""
+        return ANY
 
     def list_fields(self, given: Sequence[Ends]) -> list[Field]:
         """Return what it has in the state, in the order of the C."""
@@ -249,24 +260,18 @@ class Node:
         """
         return {}
 
-    def give_at_rest(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> list[Whole]:
+    def give_at_rest(self, m: Meaning, at: Moment) -> list[Whole]:
         """Return what it gives under a settled state: what the nodes behind it settle under."""
-        return self.step(m, state, codes, values)[1]
+        return self.step(m, at)[1]
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Return its fields after a step, and what it gives.
 
         Args:
             m: what to compute with.
-            state: all fields as they were.
-            codes: the channels' codes.
-            values: of the nodes before it.
+            at: what it may read.
         """
-        return {}, self.compute(m, [values[name] for name in self.inputs])
+        return {}, self.compute(m, [at.values[name] for name in self.inputs])
 
     def compute(self, m: Meaning, given: Sequence[list[Whole]]) -> list[Whole]:
         """Return what an operation without a state makes of its inputs."""

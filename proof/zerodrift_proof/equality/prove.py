@@ -275,7 +275,7 @@ def list_shown(
     Raises:
         ProgramError: `program` cannot be read, or holds no kernel of the model.
     """
-    prefix = model.prefix
+    prefix = model.c_prefix
     if program is not None:
         check_program(program, texts[f"{prefix}.c"])
     yield _show_runtime(texts)
@@ -314,7 +314,7 @@ def show_objects(
 ) -> Iterator[ShownPart]:
     """Yield what is shown of the assembly's object code; `proven` is told of what holds."""
     try:
-        for build, shown in show_builds(texts, model.prefix, layers, objects, progress):
+        for build, shown in show_builds(texts, model.c_prefix, layers, objects, progress):
             proven.add(build, shown)
             yield from map(_judge_kernel, shown)
     except NoCompilerError as error:

@@ -9,7 +9,7 @@ with another suffix than u, octal ones and fractions. A compiler that reads such
 tokens than these rules do. The runtime's files, whose text is known by its hash, may join lines and
 hold character constants as well.
 
-Source: C99, 5.1.1.2 (phases of translation) and 6.4. Needs the standard library only.
+Source: C99, 5.1.1.2 (phases of translation) and 6.4.
 
 The lines of a model's own files that begin with #: those that the generator writes, no others.
 
@@ -19,7 +19,7 @@ defined once. What C++ alone sees, and what the test harness alone defines, is o
 
 No macro of a compiler or a processor is defined but those that are given. A model's own files may
 ask for none of these; the runtime's do, and its text is known by its hash. Source:
-C99, 6.10 (preprocessing). Needs the standard library only.
+C99, 6.10 (preprocessing).
 """
 
 import re

@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from zerodrift_proof.equality.kernels import RELAX_STEPS, Numbered
 from zerodrift_proof.equality.node import (
-    ANY,
     Cube,
     Ends,
     Field,
     Meaning,
+    Moment,
     Node,
     Row,
     State,
@@ -24,32 +23,22 @@ Several = list[list[Whole]]
 """Numbers of each layer, from the bottom up."""
 
 
-class LayerNumbers(Protocol):
-    """A layer as the file has it, gate by gate."""
+@dataclass(frozen=True)
+class LayerNumbers:
+    """A layer as the file has it, gate by gate: of a GRU r, u, n, of an LSTM i, f, g, o."""
 
-    @property
-    def w_x(self) -> Cube:
-        """[gates, units, inputs]."""
-
-    @property
-    def w_h(self) -> Cube:
-        """[gates, units, units]."""
-
-    @property
-    def bias(self) -> Table:
-        """[4, units]."""
-
-    @property
-    def shift(self) -> Row:
-        """[gates] from an accumulator to the table of tanh."""
-
-    @property
-    def multiplier(self) -> Table | None:
-        """[gates, units], of recurrent weights of 8 bits."""
-
-    @property
-    def multiplier_shift(self) -> Row:
-        """[gates]."""
+    w_x: Cube
+    """[gates, units, inputs]."""
+    w_h: Cube
+    """[gates, units, units]."""
+    bias: Table
+    """[4, units]; of a GRU that of n outside and inside the reset product."""
+    shift: Row
+    """[gates] from an accumulator to the table of tanh."""
+    multiplier: Table | None
+    """[gates, units], of recurrent weights of 8 bits."""
+    multiplier_shift: Row
+    """[gates]."""
 
 
 def name_layers(name: str, count: int) -> list[str]:
@@ -123,10 +112,6 @@ class Recurrent(Node):
         """Whether the states are carried from sample to sample."""
         return not self.window
 
-    def bound(self, given: Sequence[Ends]) -> Ends:
-        """It is a vector."""
-        return ANY
-
     def list_fields(self, given: Sequence[Ends]) -> list[Field]:
         """Return the states, or the window of features and the place of its oldest."""
         if not self.window:
@@ -158,29 +143,25 @@ class Recurrent(Node):
         ]
         return zeros, cells
 
-    def give_at_rest(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> list[Whole]:
+    def give_at_rest(self, m: Meaning, at: Moment) -> list[Whole]:
         """Return the topmost state as it stands, where it is carried."""
         if not self.window:
-            return state[f"{self.name}_h_q30"][-self.numbered[-1].hidden :]
-        return super().give_at_rest(m, state, codes, values)
+            return at.state[f"{self.name}_h_q30"][-self.numbered[-1].hidden :]
+        return super().give_at_rest(m, at)
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Step every layer once; or all over the window, whose oldest features are replaced."""
-        name, x = self.name, values[self.inputs[0]]
+        name, x = self.name, at.values[self.inputs[0]]
         if not self.window:
-            h, c = self._split(state)
+            h, c = self._split(at.state)
             h_all, c_all = self._step_all(m, x, self._cut(h), self._cut(c))
             return self._join(h_all, c_all), h_all[-1]
-        at = state[f"{name}_oldest"][0].exact
-        if at is None:
+        place = at.state[f"{name}_oldest"][0].exact
+        if place is None:
             raise UndecidedError("a window of which the oldest place is not known")
-        inputs, window = self.numbered[0].inputs, list(state[f"{name}_window"])
-        window[at * inputs : (at + 1) * inputs] = x
-        oldest = 0 if at == self.window - 1 else at + 1
+        inputs, window = self.numbered[0].inputs, list(at.state[f"{name}_window"])
+        window[place * inputs : (place + 1) * inputs] = x
+        oldest = 0 if place == self.window - 1 else place + 1
         h_all, c_all = self._begin(m)
         for k in range(self.window):
             row = (oldest + k) % self.window

@@ -12,18 +12,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from zerodrift_proof.equality.model import (
-    FLAG_CLAMPED,
-    FLAG_DAMAGED,
-    FLAG_INPUT_RANGE,
-    FLAG_NO_READING,
-    FLAG_RATE_RANGE,
-    FLAG_TARED,
-    FLAG_TEMPERATURE_RANGE,
-    FLAG_WARMING_UP,
     Conversion,
+    Flag,
     Model,
 )
-from zerodrift_proof.equality.node import DRIFT, Ends, Field, Meaning, State
+from zerodrift_proof.equality.node import DRIFT, Ends, Field, Meaning, Moment, State
 from zerodrift_proof.equality.opaque import LONGEST, say_fast
 from zerodrift_proof.equality.syntax import TYPES
 from zerodrift_proof.equality.terms import Terms, UndecidedError, Whole
@@ -231,9 +224,9 @@ class Specification(Meaning):
             rests = node.rest(self, below, settled)
             own |= rests
             merged = {**state, **rests}
-            stepped[node.name] = node.step(self, merged, codes, stepped)[1]
+            stepped[node.name] = node.step(self, Moment(merged, codes, stepped))[1]
             if streams > 1:
-                at_rest[node.name] = node.give_at_rest(self, merged, codes, at_rest)
+                at_rest[node.name] = node.give_at_rest(self, Moment(merged, codes, at_rest))
         after = {**state, **own}
         guards = self.model.guards
         after[PREVIOUS] = [codes[guards.temperature_channel]]
@@ -246,7 +239,7 @@ class Specification(Meaning):
         values: dict[str, list[Whole]] = {}
         after = dict(state)
         for node in self.model.nodes[:-1]:
-            own, values[node.name] = node.step(self, state, codes, values)
+            own, values[node.name] = node.step(self, Moment(state, codes, values))
             after |= own
         last = self.model.drift
         drift, clamped = last.answer(self, values)
@@ -265,11 +258,11 @@ class Specification(Meaning):
     def damage(self) -> Outcome:
         """Return what a step leaves of a state that is not sound."""
         drift = [self.number(0)] * len(self.model.outputs)
-        return Outcome(self.blank(), drift, self.number(FLAG_DAMAGED))
+        return Outcome(self.blank(), drift, self.number(Flag.DAMAGED))
 
     def wait(self, state: State) -> Outcome:
         """Return what a step leaves that has nothing to begin with."""
-        flags = FLAG_NO_READING + FLAG_WARMING_UP * (self.model.guards.warm_up_steps > 0)
+        flags = Flag.NO_READING + Flag.WARMING_UP * (self.model.guards.warm_up_steps > 0)
         drift = [self.number(0)] * len(self.model.outputs)
         return Outcome(state, drift, self.number(flags))
 
@@ -307,15 +300,15 @@ class Specification(Meaning):
             falls = terms.less(most, terms.subtract(previous, now))
             fast = terms.either([rises, falls])
         raised = {
-            FLAG_CLAMPED: limited,
-            FLAG_WARMING_UP: terms.less(steps, self.number(guards.warm_up_steps)),
-            FLAG_TEMPERATURE_RANGE: terms.either([terms.less(now, low), terms.less(high, now)]),
-            FLAG_RATE_RANGE: fast,
-            FLAG_INPUT_RANGE: terms.either(beyond),
-            FLAG_NO_READING: lacks,
+            Flag.CLAMPED: limited,
+            Flag.WARMING_UP: terms.less(steps, self.number(guards.warm_up_steps)),
+            Flag.TEMPERATURE_RANGE: terms.either([terms.less(now, low), terms.less(high, now)]),
+            Flag.RATE_RANGE: fast,
+            Flag.INPUT_RANGE: terms.either(beyond),
+            Flag.NO_READING: lacks,
         }
         if self.model.tare:
-            raised[FLAG_TARED] = terms.equal(done.state[TARED][0], self.number(2))
+            raised[Flag.TARED] = terms.equal(done.state[TARED][0], self.number(2))
         flags = self.number(0)
         for bit, truth in raised.items():
             flags = terms.add(flags, terms.scale(truth, bit))

@@ -3,7 +3,7 @@
 A term is a whole number for every value of the symbols that lies in their ranges; nothing wraps.
 Sums of terms with constant factors are multiplied out and sorted; a shift takes out what it divides
 exactly. Two terms that are the same object are equal for every value of their symbols; of two that
-are not, nothing is known. Needs the standard library only.
+are not, nothing is known.
 """
 
 from collections.abc import Callable, Sequence

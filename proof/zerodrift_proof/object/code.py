@@ -3,8 +3,7 @@
 An instruction of Armv6-M or Armv7E-M, decoded.
 
 Written from the Armv7-M Architecture Reference Manual (DDI 0403), chapter A7. An encoding that it
-calls unpredictable, or whose fixed bits are others than it says, is no instruction here. Needs the
-standard library only.
+calls unpredictable, or whose fixed bits are others than it says, is no instruction here.
 """
 
 from dataclasses import dataclass

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -27,11 +27,9 @@ class Counter(Node):
         """Begin at 0."""
         return {f"{self.name}_count": [m.number(0)]}
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Give the count, and count on."""
-        count = state[f"{self.name}_count"][0]
+        count = at.state[f"{self.name}_count"][0]
         more = m.terms.less(count, m.number(self.limit))
         return {f"{self.name}_count": [m.terms.add(count, more)]}, [count]
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -32,23 +32,21 @@ class Delay(Node):
         x = values[self.inputs[0]][0]
         return {f"{self.name}_line": [x] * self.steps, f"{self.name}_oldest": [m.number(0)]}
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """The oldest place takes the present input; the next one is the oldest then."""
-        terms, name, x = m.terms, self.name, values[self.inputs[0]][0]
-        line, at = state[f"{name}_line"], state[f"{name}_oldest"][0]
+        terms, name, x = m.terms, self.name, at.values[self.inputs[0]][0]
+        line, place = at.state[f"{name}_line"], at.state[f"{name}_oldest"][0]
         cells = dict(enumerate(line))
-        turn = terms.equal(at, m.number(self.steps - 1))
-        after = terms.choose(turn, m.number(0), terms.add(at, m.number(1)))
-        older = terms.select(at, cells)
+        turn = terms.equal(place, m.number(self.steps - 1))
+        after = terms.choose(turn, m.number(0), terms.add(place, m.number(1)))
+        older = terms.select(place, cells)
         out = older
         if self.newer_q31:
             newer = x if self.steps == 1 else m.select(cells, after)
             rise = terms.scale(terms.subtract(newer, older), self.newer_q31)
             out = terms.add(older, m.round_shift(rise, 31))
         stored = [
-            terms.choose(terms.equal(at, m.number(k)), x, cell) for k, cell in enumerate(line)
+            terms.choose(terms.equal(place, m.number(k)), x, cell) for k, cell in enumerate(line)
         ]
         return {f"{name}_line": stored, f"{name}_oldest": [after]}, [out]
 

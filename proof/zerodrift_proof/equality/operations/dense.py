@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row, Table
+from zerodrift_proof.equality.node import Meaning, Node, Row, Table
 from zerodrift_proof.equality.terms import UndecidedError, Whole
 
 
@@ -19,10 +19,6 @@ class Dense(Node):
     activation: str
     low: Row
     high: Row
-
-    def bound(self, given: Sequence[Ends]) -> Ends:
-        """It is a vector."""
-        return ANY
 
     def _copy(self, m: Meaning, below: list[Whole]) -> list[Whole]:
         return [m.round_shift(one, 15) for one in below]

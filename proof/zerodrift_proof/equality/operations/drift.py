@@ -1,10 +1,9 @@
 """The answer (4.7): it is the last node, and reads signals and the network's head."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row, Table, Values
+from zerodrift_proof.equality.node import Meaning, Node, Row, Table, Values
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -21,10 +20,6 @@ class Drift(Node):
     high: Row
     head: bool
     """Whether the last input is the network's head."""
-
-    def bound(self, given: Sequence[Ends]) -> Ends:
-        """It is a vector."""
-        return ANY
 
     def answer(self, m: Meaning, values: Values) -> tuple[list[Whole], Whole]:
         """Return the drift of each output, and whether one of them is limited."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
 from zerodrift_proof.equality.opaque import say_time
 from zerodrift_proof.equality.terms import Whole
 
@@ -31,11 +31,9 @@ class Elapsed(Node):
         """Begin at 0."""
         return {f"{self.name}_time": [m.number(0)]}
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Add the step's time."""
-        before = state[f"{self.name}_time"][0]
+        before = at.state[f"{self.name}_time"][0]
         time, ticks = say_time(m.terms, before, m.span, self.limit, self.bits)
         return {f"{self.name}_time": [time]}, [ticks]
 

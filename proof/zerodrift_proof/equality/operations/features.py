@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row, Table
+from zerodrift_proof.equality.node import Meaning, Node, Row, Table
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -16,10 +16,6 @@ class Features(Node):
     matrix: Table
     bias: Row
     shift: Row
-
-    def bound(self, given: Sequence[Ends]) -> Ends:
-        """It is a vector."""
-        return ANY
 
     def compute(self, m: Meaning, given: Sequence[list[Whole]]) -> list[Whole]:
         """Return the features."""

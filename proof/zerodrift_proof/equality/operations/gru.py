@@ -6,23 +6,23 @@ from itertools import chain
 from typing import ClassVar
 
 from zerodrift_proof.equality.kernels import H_LIMIT_Q30, Numbered
-from zerodrift_proof.equality.node import Cube, Field, Row, State, Table
-from zerodrift_proof.equality.recurrent import Recurrent, Several, lay_out, name_layers
+from zerodrift_proof.equality.node import Field, State
+from zerodrift_proof.equality.recurrent import (
+    LayerNumbers,
+    Recurrent,
+    Several,
+    lay_out,
+    name_layers,
+)
 from zerodrift_proof.equality.terms import Whole
 
 
 @dataclass(frozen=True)
-class GruNumbers:
-    """A layer as the file has it, gate by gate: r, u, n."""
+class GruNumbers(LayerNumbers):
+    """A GRU's layer."""
 
-    w_x: Cube
-    w_h: Cube
-    bias: Table
-    """r, u, n outside, n inside."""
-    shift: Row
     reset: str
-    multiplier: Table | None = None
-    multiplier_shift: Row = (0, 0, 0)
+    """after | before the product with the recurrent weights."""
 
 
 @dataclass(frozen=True)

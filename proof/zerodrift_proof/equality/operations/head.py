@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Table
+from zerodrift_proof.equality.node import Meaning, Node, Table
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -14,10 +14,6 @@ class Head(Node):
 
     kind: ClassVar[str] = "head"
     weights: Table
-
-    def bound(self, given: Sequence[Ends]) -> Ends:
-        """It is a vector."""
-        return ANY
 
     def _copy(self, m: Meaning, below: list[Whole]) -> list[Whole]:
         return [m.round_shift(one, 15) for one in below]

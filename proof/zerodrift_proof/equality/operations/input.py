@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Meaning, Moment, Node, State
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -23,11 +23,9 @@ class Input(Node):
         """Return the limits' own range."""
         return Ends(self.low - self.origin, self.high - self.origin).scale(1 << self.shift)
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Read the code."""
-        code = m.saturate(codes[self.channel], self.low, self.high)
+        code = m.saturate(at.codes[self.channel], self.low, self.high)
         return {}, [m.terms.scale(m.terms.subtract(code, m.number(self.origin)), 1 << self.shift)]
 
 

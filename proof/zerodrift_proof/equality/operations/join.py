@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import ANY, Ends, Meaning, Node, Row
+from zerodrift_proof.equality.node import Meaning, Node, Row
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -15,10 +15,6 @@ class Join(Node):
     kind: ClassVar[str] = "join"
     shift: Row
     widths: Row
-
-    def bound(self, given: Sequence[Ends]) -> Ends:
-        """It is a vector."""
-        return ANY
 
     def compute(self, m: Meaning, given: Sequence[list[Whole]]) -> list[Whole]:
         """Return all numbers."""

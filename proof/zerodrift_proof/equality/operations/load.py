@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import DRIFT, Ends, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import DRIFT, Ends, Meaning, Moment, Node, State
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -24,11 +24,9 @@ class Load(Node):
         """Return the limits' own range."""
         return Ends(self.low, self.high).scale(1 << self.shift)
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Read code and drift."""
-        load = m.terms.subtract(codes[self.channel], state[DRIFT][self.output])
+        load = m.terms.subtract(at.codes[self.channel], at.state[DRIFT][self.output])
         return {}, [m.terms.scale(m.saturate(load, self.low, self.high), 1 << self.shift)]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -36,11 +36,9 @@ class Lowpass(Node):
         x = values[self.inputs[0]][0]
         return {f"{self.name}_v": [m.terms.scale(x, 2**24 - self.c_q24)]}
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Move v on."""
-        terms, x, v = m.terms, values[self.inputs[0]][0], state[f"{self.name}_v"][0]
+        terms, x, v = m.terms, at.values[self.inputs[0]][0], at.state[f"{self.name}_v"][0]
         y = terms.add(v, terms.scale(x, self.c_q24))
         gap = m.round_shift(terms.subtract(terms.scale(x, 1 << 24), y), 22)
         moved = m.round_shift(terms.scale(gap, self.m_q31), self.shift)

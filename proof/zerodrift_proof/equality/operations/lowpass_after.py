@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
 from zerodrift_proof.equality.opaque import MARGIN, bound_waiting, say_lowpass
 from zerodrift_proof.equality.terms import Whole
 
@@ -39,12 +39,10 @@ class LowpassAfter(Node):
         y = m.terms.scale(x, 2**24)
         return {f"{name}_before": [x], f"{name}_waiting": [m.number(0)], f"{name}_y": [y]}
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Collect the time, or move y on."""
-        own = [state[f"{self.name}_{part}"][0] for part in ("before", "waiting", "y")]
-        x = values[self.inputs[0]][0]
+        own = [at.state[f"{self.name}_{part}"][0] for part in ("before", "waiting", "y")]
+        x = at.values[self.inputs[0]][0]
         moved = say_lowpass(m.terms, [*own, x, m.span], self.rate_q31, self.shift)
         after = {"before": moved.before, "waiting": moved.waiting, "y": moved.y}
         return {f"{self.name}_{part}": [value] for part, value in after.items()}, [moved.out]

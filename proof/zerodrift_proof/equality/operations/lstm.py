@@ -5,22 +5,23 @@ from itertools import chain
 from typing import ClassVar
 
 from zerodrift_proof.equality.kernels import CELL_LIMIT, H_LIMIT_Q30, Numbered
-from zerodrift_proof.equality.node import Cube, Field, Row, State, Table
-from zerodrift_proof.equality.recurrent import Recurrent, Several, lay_out, name_layers
+from zerodrift_proof.equality.node import Field, State
+from zerodrift_proof.equality.recurrent import (
+    LayerNumbers,
+    Recurrent,
+    Several,
+    lay_out,
+    name_layers,
+)
 from zerodrift_proof.equality.terms import Whole
 
 
 @dataclass(frozen=True)
-class LstmNumbers:
-    """A layer as the file has it, gate by gate: i, f, g, o."""
+class LstmNumbers(LayerNumbers):
+    """An LSTM's layer."""
 
-    w_x: Cube
-    w_h: Cube
-    bias: Table
-    shift: Row
     cell_bits: int
-    multiplier: Table | None = None
-    multiplier_shift: Row = (0, 0, 0, 0)
+    """Fractional bits of the cell state."""
 
 
 @dataclass(frozen=True)

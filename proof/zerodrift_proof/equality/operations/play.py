@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift_proof.equality.node import Ends, Field, Meaning, Node, State, Values
+from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
 from zerodrift_proof.equality.terms import Whole
 
 
@@ -27,13 +27,11 @@ class Play(Node):
         """Begin at x."""
         return {f"{self.name}_y": values[self.inputs[0]]}
 
-    def step(
-        self, m: Meaning, state: State, codes: Sequence[Whole], values: Values
-    ) -> tuple[State, list[Whole]]:
+    def step(self, m: Meaning, at: Moment) -> tuple[State, list[Whole]]:
         """Move y no further than it is pushed."""
-        x, half = values[self.inputs[0]][0], m.number(self.half_width)
+        x, half = at.values[self.inputs[0]][0], m.number(self.half_width)
         low, high = m.terms.subtract(x, half), m.terms.add(x, half)
-        y = m.terms.clamp(state[f"{self.name}_y"][0], low, high)
+        y = m.terms.clamp(at.state[f"{self.name}_y"][0], low, high)
         return {f"{self.name}_y": [y]}, [y]
 
 
