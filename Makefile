@@ -15,7 +15,7 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup-newest test-newest test-oldest lock setup-frama-c frama-c test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
+.PHONY: same-as setup-newest test-newest test-oldest lock setup-frama-c frama-c test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | sort | column -t -s "$$(printf '\t')"
@@ -86,6 +86,9 @@ test: $(READY) ## the tests (six to eleven minutes on two cores)
 test-long: $(READY) ## the few hundred tests that take longest, which `make test` leaves out; CI runs both
 	$(RUN) -m pytest -q -n 2 -m "long and not slow" tests
 
+same-as: $(READY) ## what this tree does held against another tree, byte for byte (OLD=PATH, with its own .venv)
+	$(RUN) -m tests.house.same_as $(OLD)
+
 test-boards: $(READY) ## every core on QEMU's boards, in short; says what could not run
 	$(RUN) -m pytest -q -m "board and not slow" tests/chips
 
@@ -145,7 +148,8 @@ c-test: $(READY) ## build the C runtime with CMake and run its ctest programs, s
 	$(VENV)/bin/cmake --build build/cmake-sanitized
 	$(VENV)/bin/ctest --test-dir build/cmake-sanitized --output-on-failure
 
-sizes: $(READY) ## flash, RAM, stack and instructions of the golden models, against main's last commit
+sizes: $(READY) ## against main: lines and modules of each folder; flash, RAM and instructions of the golden models
+	$(RUN) -m tests.house.lines --against main
 	$(RUN) -m benchmarks.sizes
 
 bench: $(READY) ## the figures of the documentation, but for the targets bench-... (BENCH=--quick)

@@ -263,6 +263,36 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "ZD_OBSERVE(front_end_state_is_sound(s), 1u);",
         "a place and its length",
     ),
+    "a choice by a number": (
+        C,
+        STEP,
+        "    drift[0] = 1 ? drift[0] + 1 : drift[0];\n" + STEP,
+        "no comparison",
+    ),
+    "a choice by a comparison of numbers": (
+        C,
+        STEP,
+        "    drift[0] = (1 > 0) ? drift[0] + 1 : drift[0];\n" + STEP,
+        "one way only",
+    ),
+    "a choice by a comparison with itself": (
+        C,
+        STEP,
+        "    drift[0] = (drift[0] == drift[0]) ? drift[0] + 1 : drift[0];\n" + STEP,
+        "one way only",
+    ),
+    "a condition that is one number of two": (
+        C,
+        STEP,
+        "    if ((s->steps != 0u) || (2 == 2)) {\n        s->steps = 0u;\n    }\n" + STEP,
+        "one way only",
+    ),
+    "a condition that is a number": (
+        C,
+        STEP,
+        "    if (s->steps) {\n        s->steps = 0u;\n    }\n" + STEP,
+        "no comparison",
+    ),
     "a claim in a function": (C, STEP, "    ZD_CLAIM(x, 1);\n" + STEP, "outside of functions"),
     "a size that is a sum": (
         C,

@@ -24,17 +24,15 @@ ONCE = 0.6
 """... of which one step is this share at least, ..."""
 LARGEST = 5.0
 """... and this step is so many times larger than the largest elsewhere in that column."""
-AGREES = 0.1
-"""A conversion explains a break if it leaves less than this share of it."""
+CHANCE = 0.1
+"""Chance with which a break would look by itself like a change of unit, or like a thermometer that
+had stopped: the less likely of the two is told, from here on missing rows."""
 LOUDER = 3.0
 """The noise of an output behind a change of its unit differs by this factor at least, ..."""
 PLAIN = 20.0
 """... or by so much, and the range by nearly as much: no noise and no drift changes so at once."""
 FOLLOWS = 0.5
 """Share of the squares that a load leaves of an output's steps where these are the load's."""
-STANDS = 30
-"""Rows of one value up to a break, more than in any other run: the thermometer stopped, and then
-went on."""
 ALIKE = 0.3
 """... and by the same factor as its values, to this share."""
 LAST_DIGITS = 1e-9
@@ -50,6 +48,8 @@ class ColumnBreak:
     row: int
     before: float
     after: float
+    usual: float
+    """What the column does from row to row before it."""
 
 
 def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
@@ -60,10 +60,7 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         elsewhere = max((s for j, s in enumerate(largest) if j != i), default=0.0)
         found = find_break(run.temperature_degC, elsewhere)
         if found is not None:
-            rests = [
-                _measure_rest(other.temperature_degC) for j, other in enumerate(runs) if j != i
-            ]
-            notes.append(_tell_break(run, found, max(rests, default=0)))
+            notes.append(_tell_break(run, found, runs))
         for k, name in enumerate(outputs):
             factor, row = find_gain_change(run.measured[:, k])
             if row and not _follows_load(run, k, row):
@@ -121,7 +118,7 @@ def find_break(x: Array, elsewhere: float = 0.0) -> ColumnBreak | None:
     gap = abs(after - before)
     if gap < BREAK * usual or step < ONCE * gap:
         return None
-    return ColumnBreak(row, before, after)
+    return ColumnBreak(row, before, after, usual)
 
 
 def _measure_stand(x: Array, row: int) -> int:
@@ -135,33 +132,41 @@ def _reach(x: Array, at: int) -> float:
     return float(np.polyval(np.polyfit(np.arange(x.size), x, 1), at))
 
 
-def _measure_rest(x: Array) -> int:
-    """Return the most rows for which a column repeats one value."""
-    edges = np.flatnonzero(np.diff(x) != 0.0)
-    return int(np.diff(np.concatenate([[-1], edges, [x.size - 1]])).max(initial=0))
+def _share_standing(runs: Sequence[Run], length: int) -> float:
+    """Return the share of rows up to which the thermometer has held one value for so many rows."""
+    held = 0
+    for run in runs:
+        edges = np.flatnonzero(np.diff(run.temperature_degC) != 0.0)
+        lengths = np.diff(np.concatenate([[-1], edges, [len(run) - 1]]))
+        held += int(np.maximum(lengths - length + 1, 0).sum())
+    return held / sum(map(len, runs))
 
 
-def _tell_break(run: Run, found: ColumnBreak, rest: int) -> DataNote:
-    size = found.after - found.before
+def _tell_break(run: Run, found: ColumnBreak, runs: Sequence[Run]) -> DataNote:
     rows = (found.row, len(run) - 1)
-    for words, value in (
-        ("degC before it and degF behind", 1.8 * found.before + 32.0),
-        ("degF before it and degC behind", (found.before - 32.0) / 1.8),
-        ("degC before it and kelvin behind", found.before + 273.15),
-        ("kelvin before it and degC behind", found.before - 273.15),
-    ):
-        if abs(found.after - value) <= AGREES * abs(size):
-            return DataNote(
-                run.group,
-                "temperature",
-                rows,
-                "unit_change",
-                f"goes from {found.before:.4g} to {found.after:.4g} at row {found.row}, which is "
-                f"{words}: the unit changes within the run. Convert one part, or cut the run there "
-                "(file@from:to)",
-            )
+    conversions = {
+        "degC before it and degF behind": 1.8 * found.before + 32.0,
+        "degF before it and degC behind": (found.before - 32.0) / 1.8,
+        "degC before it and kelvin behind": found.before + 273.15,
+        "kelvin before it and degC behind": found.before - 273.15,
+    }
+    words = min(conversions, key=lambda words: abs(found.after - conversions[words]))
+    missed = max(abs(found.after - conversions[words]) - 2.0 * found.usual, 0.0)
+    # A break of any size up to this one would meet one of them on either side.
+    by_unit = 2.0 * len(conversions) * missed / abs(found.after - found.before)
     stand = _measure_stand(run.temperature_degC, found.row)
-    if stand >= STANDS and stand > rest:
+    by_stand = _share_standing(runs, stand)
+    if by_unit <= min(by_stand, CHANCE):
+        return DataNote(
+            run.group,
+            "temperature",
+            rows,
+            "unit_change",
+            f"goes from {found.before:.4g} to {found.after:.4g} at row {found.row}, which is "
+            f"{words}: the unit changes within the run. Convert one part, or cut the run there "
+            "(file@from:to)",
+        )
+    if by_stand <= CHANCE:
         return DataNote(
             run.group,
             "temperature",

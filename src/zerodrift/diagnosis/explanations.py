@@ -56,7 +56,12 @@ class Explanation:
     seen: bool = False
     """Whether the columns alone show it, and the fit that it matters: stands and spikes."""
     shrinks: float = 1.0
-    """... and by what its outputs are divided, which makes whatever is left small."""
+    """... and by what its outputs are divided, which makes whatever is left small, or its reference
+    multiplied, which says the same of the load."""
+
+    def count(self, after: RunAgreement) -> float:
+        """Return what is left of the run as it is read, by how much was chosen for it."""
+        return after.error * max(self.shrinks, 1.0) / (FITTED if self.fitted else 1.0)
 
 
 def explain(bench: Bench, i: int, rest: frozenset[int]) -> list[DataNote]:
@@ -97,6 +102,28 @@ def find_units(bench: Bench, rest: frozenset[int]) -> list[DataNote]:
     return notes
 
 
+def find_reading(bench: Bench, rest: frozenset[int]) -> tuple[int, list[DataNote]] | None:
+    """Return the run that another unit, sign, gain or order of its columns explains best, if any.
+
+    Such a reading has nothing to fit a misfit with, or one number: where it takes away most of what
+    makes the run the worst of all, no missing effect is as good an explanation, however small the
+    misfit is.
+    """
+    found: tuple[int, list[DataNote]] | None = None
+    best = EXPLAINED
+    for i in sorted(rest) if len(rest) >= FEWEST_RUNS else ():
+        now = bench.assess(i, rest)
+        if now is None or now.error <= 1.0:
+            continue
+        left = np.exp(np.log(np.maximum(now.misfit, 1e-12)).mean(axis=0))
+        wrong = [k for k in range(len(bench.outputs)) if left[k] > 1.0]
+        for tried in _list_readings(bench, i, rest, wrong):
+            after = bench.assess(i, rest, tried.courses)
+            if after is not None and tried.count(after) / now.error <= best:
+                found, best = (i, list(tried.notes)), tried.count(after) / now.error
+    return found
+
+
 def weigh(bench: Bench, i: int, rest: frozenset[int], now: RunAgreement) -> Explanation | None:
     """Return the explanation that leaves least of a run; None where none makes it agree."""
     best: Explanation | None = None
@@ -110,7 +137,7 @@ def weigh(bench: Bench, i: int, rest: frozenset[int], now: RunAgreement) -> Expl
         most = EXPLAINED if tried.seen else CLEARLY
         if not agrees and max(after.error / now.error, doubts[1] / doubts[0]) > most:
             continue
-        counts = after.error * max(tried.shrinks, 1.0) / (FITTED if tried.fitted else 1.0)
+        counts = tried.count(after)
         # What makes the run agree comes before what only takes most of the misfit away.
         if (not agrees, counts) < least:
             best, least = tried, (not agrees, counts)
@@ -144,14 +171,23 @@ def _note(
     return DataNote(bench.groups[i], column, rows or (0, last), kind, text)
 
 
-def _list_all(
-    bench: Bench, i: int, rest: frozenset[int], now: RunAgreement
+def _list_readings(
+    bench: Bench, i: int, rest: frozenset[int], wrong: Sequence[int]
 ) -> Iterator[Explanation]:
-    wrong = [k for k in range(len(bench.outputs)) if now.doubt[k] >= 0.5]
+    """Give the run in other units, with other signs and gains, and with columns exchanged."""
     yield from _read_thermometer(bench, i)
     yield from _exchange_outputs(bench, i, wrong)
     for k in wrong:
         yield from _scale(bench, i, rest, k)
+
+
+def _list_all(
+    bench: Bench, i: int, rest: frozenset[int], now: RunAgreement
+) -> Iterator[Explanation]:
+    wrong = [k for k in range(len(bench.outputs)) if now.doubt[k] >= 0.5]
+    yield from _list_readings(bench, i, rest, wrong)
+    yield from _cut_thermometer(bench, i)
+    for k in wrong:
         yield from _shift(bench, i, k)
         yield from _move_zero(bench, i, rest, k)
         yield from _leave_out(bench, i, k)
@@ -204,6 +240,10 @@ def _read_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
             return _warm(replace(run, inputs=inputs), run.inputs[name])
 
         yield exchange(name, with_input)
+
+
+def _cut_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
+    """Give the run without the rows in which its thermometer stands at an end."""
     for ends, words in ((np.max, "highest"), (np.min, "lowest")):
         value = float(ends([ends(c.run.temperature_degC) for c in bench.courses[i]]))
         standing = _mark(bench, i, partial(_stand_thermometer, value))
@@ -331,6 +371,7 @@ def _scale(bench: Bench, i: int, rest: frozenset[int], k: int) -> Iterator[Expla
                 (_note(bench, i, f"reference of {name}", *told),),
                 _change(bench, i, lambda r: _set(r, k, reference=r.reference[:, k] * factor)),
                 fitted=True,
+                shrinks=abs(factor),
             )
 
 

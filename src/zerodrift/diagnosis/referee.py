@@ -16,7 +16,7 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.agreement import FEWEST_ROWS, FEWEST_RUNS, Bench
 from zerodrift.diagnosis.breaks import find_breaks, find_unit_changes
 from zerodrift.diagnosis.data_notes import DataNote, name_columns
-from zerodrift.diagnosis.explanations import explain, find_units, tell_other, weigh
+from zerodrift.diagnosis.explanations import explain, find_reading, find_units, tell_other, weigh
 from zerodrift.diagnosis.leaks import find_leaks
 from zerodrift.diagnosis.misfits import (
     find_copies,
@@ -128,8 +128,8 @@ def _look_at_columns(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNo
     """Return what single columns show; of a column what is told first."""
     notes: list[DataNote] = []
     checks = (
-        *(find_copies, find_unit_changes, find_sentinels, find_standing, find_cut_off, find_breaks),
-        *(find_wraps, find_load_columns, find_reference_faults, find_load_gains, find_leaps),
+        *(find_copies, find_unit_changes, find_sentinels, find_wraps, find_standing, find_cut_off),
+        *(find_breaks, find_load_columns, find_reference_faults, find_load_gains, find_leaps),
     )
     for check in checks:
         told = {(note.run, note.column.removeprefix(OF_REFERENCE)) for note in notes}
@@ -176,10 +176,11 @@ def _hold_together(
     most = max(1, len(groups) // 3) - (len(groups) - len(rest))
     while most > 0:
         worst = bench.find_worst(rest)
-        if worst is None:
+        found = find_reading(bench, rest) if worst is None else (worst, explain(bench, worst, rest))
+        if found is None:
             break
-        told += explain(bench, worst, rest)
-        rest -= {worst}
+        told += found[1]
+        rest -= {found[0]}
         most -= 1
     return told
 

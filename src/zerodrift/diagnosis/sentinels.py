@@ -38,14 +38,12 @@ LEAST_OTHERS = 0.3
 """Share of the rows that must hold other values."""
 DISTINCT = 8
 """Fewer different values among the others are the codes of a coarse converter."""
-WILD = 0.02
-"""Share of a run's rows from which spikes are told: fits and verdicts are tested with as many
-(`benchmarks.evidence`, the condition outliers_2), ..."""
 TIMES = 5.0
-"""... where it is this many times the median share of the other runs; ..."""
+"""An output's rows that spike hold more of the squares of its drift than all else does, and this
+many times the share that they hold in the other runs: fewer and smaller ones are what drift covers
+(`benchmarks.evidence`, the condition outliers_2). ..."""
 HIGH = 20.0
-"""... of single rows that stand out of both neighbours by so many usual steps, and by what the
-output drifts in nine tenths of the run: fewer and smaller ones hardly count in a fit."""
+"""... They are single rows that stand out of both neighbours by so many usual steps."""
 HEIGHT_K, STEPS = 5.0, 30.0
 """A thermometer, which has a heat capacity, does not go there and back within a row by so many
 kelvin and usual steps."""
@@ -55,24 +53,38 @@ FEWEST_SPIKES = 3
 def find_sentinels(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     """Return notes on columns in which one value far off recurs exactly."""
     notes = []
-    for run in runs:
-        columns: dict[str, tuple[Array, Array | None]] = {
-            "temperature": (run.temperature_degC, None),
-            **{name: (run.inputs[name], None) for name in sorted(run.inputs) if name != "clock"},
-        }
-        for k, name in enumerate(outputs):
-            columns[name] = (run.measured[:, k], run.reference[:, k])
-            columns[f"reference of {name}"] = (run.reference[:, k], run.measured[:, k])
+    tables = [_list_columns(run, outputs) for run in runs]
+    for run, columns in zip(runs, tables, strict=True):
         for name, (x, beside) in columns.items():
             is_switched = name in run.inputs or name.startswith("reference of ")
             visits = VISITS if is_switched else 1
-            note = _tell(run, name, list_sentinels(x, beside, visits))
+            elsewhere = [
+                table[name][0]
+                for other, table in zip(runs, tables, strict=True)
+                if other.group != run.group and name in table
+            ]
+            note = _tell(run, name, list_sentinels(x, beside, visits, elsewhere))
             notes += [note] if note is not None else []
     return notes
 
 
+def _list_columns(run: Run, outputs: Sequence[str]) -> dict[str, tuple[Array, Array | None]]:
+    """Return each column [n] of a run by its name, and what it follows."""
+    columns: dict[str, tuple[Array, Array | None]] = {
+        "temperature": (run.temperature_degC, None),
+        **{name: (run.inputs[name], None) for name in sorted(run.inputs) if name != "clock"},
+    }
+    for k, name in enumerate(outputs):
+        columns[name] = (run.measured[:, k], run.reference[:, k])
+        columns[f"reference of {name}"] = (run.reference[:, k], run.measured[:, k])
+    return columns
+
+
 def list_sentinels(
-    x: Array, beside: Array | None = None, visits: int = 1
+    x: Array,
+    beside: Array | None = None,
+    visits: int = 1,
+    elsewhere: Sequence[Array] = (),
 ) -> list[tuple[float, Mask]]:
     """Return (value, rows [n]) of each value that stands for none in a column [n].
 
@@ -80,6 +92,7 @@ def list_sentinels(
         x: the column.
         beside: what it follows, a load and what is measured of it; None: nothing.
         visits: how many times it must be there at least.
+        elsewhere: the same column of other runs.
     """
     found: list[tuple[float, Mask]] = []
     kept = np.ones(x.size, dtype=np.bool_)
@@ -87,7 +100,7 @@ def list_sentinels(
         for end in _list_candidates(x[kept]):
             rows = kept & (x == end)
             starts = int(rows[0]) + int(np.count_nonzero(rows[1:] & ~rows[:-1]))
-            if starts >= visits and _is_sentinel(x, beside, rows, kept & ~rows):
+            if starts >= visits and _is_sentinel(x, beside, rows, kept & ~rows, elsewhere):
                 found.append((float(end), rows))
                 kept &= ~rows
                 break
@@ -106,7 +119,9 @@ def _list_candidates(x: Array) -> list[float]:
     return candidates
 
 
-def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bool:
+def _is_sentinel(
+    x: Array, beside: Array | None, rows: Mask, others: Mask, elsewhere: Sequence[Array]
+) -> bool:
     """Return whether some rows [n], all of one value, jump away from all others and back."""
     count = int(rows.sum())
     if count < RECURS or int(others.sum()) < max(LEAST_OTHERS * x.size, 2 * DISTINCT):
@@ -129,8 +144,13 @@ def _is_sentinel(x: Array, beside: Array | None, rows: Mask, others: Mask) -> bo
     value = float(x[rows][0])
     apart = float(np.abs(x[kept] - value).min())
     low, high = float(x[kept].min()), float(x[kept].max())
-    if np.count_nonzero(np.diff(np.flatnonzero(rows)) > 1) == 0 and apart < APART * (high - low):
-        return False  # one stand near all other values: it stopped there, or rests
+    if np.count_nonzero(np.diff(np.flatnonzero(rows)) > 1) == 0:
+        # One stand near all other values: the column stopped there, or rests. One that begins or
+        # ends the log shows one edge only, so that other runs' values count too.
+        near = [x[kept], *(elsewhere if rows[0] or rows[-1] else ())]
+        reach = [min(map(np.min, near)), max(map(np.max, near))]
+        if max(reach[0] - value, value - reach[1]) < APART * (reach[1] - reach[0]):
+            return False
     among = low < value < high
     return bool(
         np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > FAR * ordinary
@@ -164,19 +184,40 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             notes.append(_tell_spikes(run, "temperature", rows, run.temperature_degC))
     for k, name in enumerate(outputs):
         found = [_list_drift_peaks(run.drift[:, k]) for run in runs]
-        shares = [rows.size / len(run) for rows, run in zip(found, runs, strict=True)]
-        for i, run in enumerate(runs):
-            others = [shares[j] for j, r in enumerate(runs) if r.group != run.group]
+        shares = _share_peaks(runs, k, found)
+        for group, share in shares.items():
+            others = [shares[other] for other in shares if other != group]
             usual = float(np.median(others)) if others else 0.0
-            if shares[i] > max(WILD, TIMES * usual):
-                notes.append(_tell_spikes(run, name, found[i], run.measured[:, k]))
+            mine = [i for i, run in enumerate(runs) if run.group == group]
+            count = sum(found[i].size for i in mine)
+            if count >= FEWEST_SPIKES and share > max(1.0, TIMES * usual):
+                i = max(mine, key=lambda i: found[i].size)
+                notes.append(_tell_spikes(runs[i], name, found[i], runs[i].measured[:, k]))
     return notes
 
 
 def _list_drift_peaks(drift: Array) -> NDArray[np.intp]:
-    low, high = np.quantile(drift, [0.05, 0.95])
-    usual = float(np.median(np.abs(np.diff(drift))))
-    return _list_peaks(drift, max(HIGH * usual, float(high - low)))
+    steps = np.abs(np.diff(drift))
+    # A coarse converter at rest still moves by its usual step.
+    usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+    return _list_peaks(drift, HIGH * usual)
+
+
+def _share_peaks(
+    runs: Sequence[Run], k: int, found: Sequence[NDArray[np.intp]]
+) -> dict[str, float]:
+    """Return per run the squares by which its spikes stand out, over those of its other rows."""
+    spikes: dict[str, float] = {}
+    others: dict[str, float] = {}
+    for run, rows in zip(runs, found, strict=True):
+        drift = run.drift[:, k]
+        away = drift[rows] - 0.5 * (drift[rows - 1] + drift[rows + 1])
+        rest = np.delete(drift, rows) - np.median(drift)
+        # Where rows are averages, one beside a spike holds a part of it.
+        rest = np.clip(rest, *np.quantile(rest, [0.05, 0.95]))
+        spikes[run.group] = spikes.get(run.group, 0.0) + float(away @ away)
+        others[run.group] = others.get(run.group, 0.0) + float(rest @ rest)
+    return {group: spikes[group] / max(others[group], 1e-300) for group in spikes}
 
 
 def _list_peaks(x: Array, least: float) -> NDArray[np.intp]:

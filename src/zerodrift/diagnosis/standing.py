@@ -21,6 +21,9 @@ LONGER = 6.0
 """... and how many times longer than anything else in that column stands."""
 LEAVES = 8.0
 """What stood still for a fault goes on elsewhere: so many usual steps away."""
+INWARDS, EXPECTED_INWARDS = 4.0, 0.1
+"""Usual errors of what is expected of an output by which it is no limit that holds it, and the
+share of a stand's rows where it is so."""
 ARM = 20
 """Samples on either side of a jump through which straight lines are laid."""
 JUMP = 10.0
@@ -62,7 +65,7 @@ class _Stand:
 def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     """Return notes on thermometers and outputs that stand still in one run alone."""
     notes = []
-    for name, columns in _list_columns(runs, outputs):
+    for k, (name, columns) in enumerate(_list_columns(runs, outputs), start=-1):
         thermometer = name == "temperature"
         moving = [float(np.ptp(x)) > 0.0 for x in columns]
         for run, x, moves in zip(runs, columns, moving, strict=True):
@@ -97,8 +100,8 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             if stand.length < max(least, LONGER * usual):
                 break
             x = columns[[run is stand.run for run in runs].index(True)]
-            jumps = thermometer and _ends_in_jump(stand, x)
-            at_limit = stand.value in (x.max(), x.min()) and not jumps
+            held = _ends_in_jump(stand, x) if thermometer else _is_held(stand, x, k)
+            at_limit = stand.value in (x.max(), x.min()) and not held
             if at_limit and not _is_passed(stand, runs, columns):
                 continue
             told += not at_limit
@@ -130,6 +133,24 @@ def _ends_in_jump(stand: _Stand, x: Array) -> bool:
     return float(steps[stand.last]) > LEAVES * usual
 
 
+def _is_held(stand: _Stand, x: Array, k: int) -> bool:
+    """Return whether an output stands where load and temperature lead to expect it elsewhere.
+
+    At a limit it is expected there or beyond. What is expected is the load and, of the drift, a
+    straight line of the temperature through the run's other rows.
+    """
+    run = stand.run
+    warm = run.temperature_degC
+    basis = np.stack([np.ones(x.size), warm - warm.mean()], axis=1)
+    others = x != stand.value
+    drift = x - run.reference[:, k]
+    factors = np.linalg.lstsq(basis[others], drift[others], rcond=None)[0]
+    left = drift - basis @ factors
+    usual = 1.4826 * float(np.median(np.abs(left[others] - np.median(left[others]))))
+    within = left[stand.first : stand.last + 1] * (1.0 if stand.value == x.max() else -1.0)
+    return bool(np.mean(within > INWARDS * usual) > EXPECTED_INWARDS)
+
+
 def _tell_stand(
     stand: _Stand, name: str, thermometer: bool, at_limit: bool, usual: int
 ) -> DataNote:
@@ -157,8 +178,10 @@ def _tell_stand(
 
 
 def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
-    """Return notes on outputs that stand at a level in one run which other runs pass."""
-    notes = []
+    """Return notes on outputs that stand at a level in one run which other recordings pass."""
+    notes: list[DataNote] = []
+    if len({run.source for run in runs}) < 2:
+        return notes
     for k, name in enumerate(outputs):
         for run in runs:
             x = run.measured[:, k]
@@ -240,10 +263,12 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
         # A coarse converter at rest goes up and down by its own step.
         return None
     alike = np.abs(np.abs(steps[rows]) - size) <= SAME_SIZE * size
-    both_ways = (steps[rows] > 0.0).any() and (steps[rows] < 0.0).any()
-    # Spikes go up and down too, each by its own size, and are back in the next row.
-    lasting = (np.diff(rows) > 2).any()
-    if alike.mean() < 0.9 or not both_ways or not lasting:
+    # Spikes and values for none go up and down too, and are back in the next row or two; a counter
+    # stays on either side.
+    lengths = np.diff(np.concatenate([[-1], rows, [steps.size]]))
+    up = np.concatenate([[steps[rows[0]] < 0.0], steps[rows] > 0.0])
+    lasting = min(lengths[up].max(initial=0), lengths[~up].max(initial=0)) > 2
+    if alike.mean() < 0.9 or not lasting:
         return None
     # All of a counter's readings lie within what it wraps by; a load, or what follows it, moves
     # an output by less than its range.

@@ -241,6 +241,17 @@ def walk(node: CNode) -> Iterator[CNode]:
         yield from walk(part)
 
 
+def are_alike(one: CNode, other: CNode) -> bool:
+    """Return whether two nodes are the same words, wherever they stand."""
+    mine, its = ({**vars(node), "at": 0} for node in (one, other))
+    parts = zip(list_parts(one), list_parts(other), strict=False)
+    plain = all(
+        mine[name] == its.get(name) for name in mine if not isinstance(mine[name], CNode | tuple)
+    )
+    counts = len(list(list_parts(one))) == len(list(list_parts(other)))
+    return type(one) is type(other) and plain and counts and all(are_alike(*two) for two in parts)
+
+
 def is_name(node: CNode | None, name: str) -> bool:
     """Return whether a node is nothing but this name."""
     return isinstance(node, CName) and node.name == name

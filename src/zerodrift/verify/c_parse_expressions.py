@@ -23,6 +23,8 @@ from zerodrift.verify.c_nodes import (
     PlacedWords,
     Program,
     TypeName,
+    are_alike,
+    walk,
 )
 from zerodrift.verify.c_values import TYPES, NotUnderstoodError
 
@@ -110,6 +112,7 @@ class ExpressionParser:
         condition = self._binary(0)
         if not self.take_if("?"):
             return condition
+        self.require_open(condition)
         first = self.expression()
         self.take(":")
         return CChoose(start, condition, first, self.expression())
@@ -120,6 +123,23 @@ class ExpressionParser:
             operator = self.take()
             left = CBinary(start, operator, left, self._binary(BINARY[operator]))
         return left
+
+    def require_open(self, condition: Expression) -> None:
+        """Refuse a condition that compares nothing, or numbers alone: it goes one way only.
+
+        Raises:
+            NotUnderstoodError: a part of it is no comparison with something that has a name.
+        """
+        match condition:
+            case CBinary(operator="&&" | "||"):
+                self.require_open(condition.left)
+                self.require_open(condition.right)
+            case CBinary(operator="==" | "!=" | "<" | "<=" | ">" | ">="):
+                named = (isinstance(part, CName | CCall) for part in walk(condition))
+                if not any(named) or are_alike(condition.left, condition.right):
+                    raise self.error("a comparison that goes one way only")
+            case _:
+                raise self.error("a condition that is no comparison")
 
     def unary(self) -> Expression:
         """Take an expression up to the first operator between two."""

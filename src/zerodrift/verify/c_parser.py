@@ -270,6 +270,7 @@ class Parser(ExpressionParser):
         self.take("if")
         self.take("(")
         condition = self.expression()
+        self.require_open(condition)
         self.take(")")
         then = self.block()
         other: CBlock | CIf | None = None
