@@ -12,10 +12,11 @@ import torch
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.progress import Stage
 from zerodrift.train.conclude import choose_length, conclude, is_worth_its_flash
 from zerodrift.train.engine import Problem, Progress, Result, train_networks
 from zerodrift.train.networks import Network, build_network
-from zerodrift.train.scores import ContractingCost, Stage
+from zerodrift.train.scores import ContractingCost
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages

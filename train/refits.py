@@ -13,12 +13,12 @@ import numpy as np
 from zerodrift.base.config import AUTO, Config, NetworkConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import TRAIN, require
+from zerodrift.base.progress import Stage
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.onnx_export import read_onnx_weights
 from zerodrift.train.prepare import read_settings
-from zerodrift.train.scores import Stage
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
 from zerodrift.train.tasks import LEFT_OUT, UNFORESEEN, Handling

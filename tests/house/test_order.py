@@ -55,8 +55,8 @@ def test_every_folder_has_its_place_in_the_order() -> None:
 
 
 CLIMBING = {
-    *("zerodrift.api.project", "zerodrift.tasks.chip", "zerodrift.tasks.project"),
-    *("zerodrift.tasks.revise", "zerodrift.tasks.survey", "zerodrift.tasks.trust"),
+    *("zerodrift.api.project", "zerodrift.tasks.chip"),
+    *("zerodrift.tasks.revise", "zerodrift.tasks.survey"),
 }
 """Those that still import from the command line."""
 

@@ -4,16 +4,15 @@ import contextlib
 import io
 import tempfile
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast, overload
 
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.progress import Progress, show_progress
 from zerodrift.base.shown import with_picture
-from zerodrift.cli.console import show_progress
-from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.catalogue import Catalogue
 from zerodrift.report.results import (
     AddResult,
     CompareResult,
@@ -23,7 +22,7 @@ from zerodrift.report.results import (
     RemoveResult,
     TrainResult,
 )
-from zerodrift.tasks.project import open_config
+from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.trust import remember
 
 if TYPE_CHECKING:
@@ -71,10 +70,11 @@ class Project:
         self._skip_invalid = skip_invalid
         self.sensor = sensor
         settle_project(Path(directory))
-        self.config: Config = open_config(Path(directory), sensor)
+        self._folder = ProjectFolder(Path(directory), sensor, skip_invalid)
+        self.config: Config = self._folder.config
         self._text = self.config.path.read_bytes()
         remember(self.config.plugin_files)
-        self._catalogue: Catalogue = load_catalogue(self.config.plugin_files)
+        self._catalogue: Catalogue = self._folder.catalogue
 
     @classmethod
     def from_frames(
@@ -150,7 +150,7 @@ class Project:
         """
         return tuple(effect.kind for effect in self.config.effects)
 
-    @cached_property
+    @property
     def dataset(self) -> "Dataset":
         """The runs: time [n] s, temperature [n] degC, drift [n, K] in the outputs' units.
 
@@ -162,10 +162,8 @@ class Project:
             >>> run.drift.shape, run.temperature_degC.shape
             ((500, 1), (500,))
         """
-        from zerodrift.dataset.load import load_dataset
-
-        with show_progress("reading logs"):
-            return load_dataset(self.config, self._skip_invalid)
+        with show_progress(Progress, "reading logs"):
+            return self._folder.dataset
 
     def compare(self, model: str | None = None) -> CompareResult:
         """Return the comparison of model and measurements; `.plot(output)` draws one output.
@@ -184,7 +182,7 @@ class Project:
         """
         from zerodrift.tasks.predictors import compare_project
 
-        with show_progress("comparing") as say:
+        with show_progress(Progress, "comparing") as say:
             compared = compare_project(
                 self.config, self.dataset, self._catalogue, kind=model, say=say
             )
@@ -213,7 +211,7 @@ class Project:
         from zerodrift.diagnosis.advice import advise
         from zerodrift.tasks.verdict import find_verdict, list_commands, summarise_verdict
 
-        with show_progress("diagnosing") as say:
+        with show_progress(Progress, "diagnosing") as say:
             verdict = find_verdict(self.config, self.dataset, self._catalogue, auto=auto, say=say)
             course = verdict.course
             effects = self.config.effects if course is None else course.effects
@@ -263,7 +261,7 @@ class Project:
         dataset = self.dataset if has_logs(config) else None
         wanted = hours if hours is not None else config.experiment.hours or HOURS
         question = Question(wanted, tuple(between), target, budget_s)
-        with show_progress("planning") as say:
+        with show_progress(Progress, "planning") as say:
             found = find_plan(config, dataset, self._catalogue, question, say)[1]
 
         def draw() -> "Figure":
@@ -314,7 +312,10 @@ class Project:
         self._refuse_moved()
         config, catalogue, kind = open_effect(self.config, effect)
         wanted = EffectConfig(kind, dict(hold or {}), {"signal": signal} if signal else {})
-        with hold_project(self.directory), show_progress(f"fitting without and with {kind}"):
+        with (
+            hold_project(self.directory),
+            show_progress(Progress, f"fitting without and with {kind}"),
+        ):
             revision, is_kept = add_to_project(config, self.dataset, catalogue, wanted, force=force)
         if not is_kept:
             raise CheckError(
@@ -341,7 +342,10 @@ class Project:
         from zerodrift.tasks.revise import remove_from_project
 
         self._refuse_moved()
-        with hold_project(self.directory), show_progress(f"fitting with and without {effect}"):
+        with (
+            hold_project(self.directory),
+            show_progress(Progress, f"fitting with and without {effect}"),
+        ):
             revision = remove_from_project(
                 self.config, self.dataset, self._catalogue, effect, signal
             )
@@ -383,32 +387,11 @@ class Project:
             >>> list(trained.outputs)
             ['Fz']
         """
-        from zerodrift.diagnosis.advice import advise
-        from zerodrift.tasks.project import refuse_wrong_data
-        from zerodrift.train.progress import show_progress as show_training
-        from zerodrift.train.summary import summarise_training
-        from zerodrift.train.training import list_checkpoints
-        from zerodrift.verify.network_choice import train_or_choose
+        from zerodrift.tasks.train import TrainRequest, train
 
         self._refuse_moved()
-        refuse_wrong_data(self.config, self.dataset, force=force)
-        with hold_project(self.directory), show_training("training") as report:
-            chosen = train_or_choose(self.config, self.dataset, report=report)
-            trained = chosen.trained
-            trained.compensator.save(
-                self.directory,
-                self.config.build_directory,
-                done_with=list_checkpoints(self.config),
-            )
-        advice = advise(self.config, self.dataset)
-        told = summarise_training(trained.compensator, trained.scores)
-        advised = None if advice is None else advice.summarise()
-        return TrainResult(
-            **vars(told),
-            advice=advised,
-            choice=chosen.choice,
-            contracting=trained.contracting,
-        )
+        with show_progress(Progress) as progress:
+            return train(TrainRequest(self._folder, force=force), progress).result
 
     def firmware(self, *, force: bool = False, uncertainty: bool = True) -> "FirmwareSummary":
         """Train if needed, quantize, generate C, check it bit for bit, and write it.
@@ -426,30 +409,15 @@ class Project:
             >>> firmware.bit_exact, "host" in firmware.backends
             (True, True)
         """
-        from rich.console import Console
-
-        from zerodrift.cli.firmware import make_firmware
-        from zerodrift.export.compose import describe_compensator
-        from zerodrift.tasks.project import (
-            refuse_shared_program,
-            refuse_wrong_data,
-            train_project,
-        )
-        from zerodrift.tasks.runs_left_out import leave_runs_out
+        from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
 
         self._refuse_moved()
-        refuse_shared_program(self.directory, self.sensor)
-        against = refuse_wrong_data(self.config, self.dataset, force=force, keep=True)
-        with hold_project(self.directory):
-            compensator = train_project(self.config, self.dataset, Console(file=io.StringIO()))
-            described = describe_compensator(compensator, self.config, self.dataset.train)
-            left = leave_runs_out(self.config, self.dataset, compensator, wanted=uncertainty)
-            firmware, told = make_firmware(
-                self.config, self.dataset, described, left, force=force, against=against
-            )
-        if not firmware.files:
-            raise CheckError(f"{firmware.gate.explain()}\nNothing was written.")
-        return told
+        request = FirmwareRequest(self._folder, force=force, uncertainty=uncertainty)
+        with show_progress(Progress) as progress:
+            made = make_firmware(request, progress)
+        if made.refusal:
+            raise CheckError(f"{made.refusal}\nNothing was written.", made.result)
+        return made.result
 
     @overload
     def apply(
@@ -499,7 +467,7 @@ class Project:
             else:
                 to_polars("frame", frame).write_parquet(log)
             try:
-                with show_progress("applying") as say:
+                with show_progress(Progress, "applying") as say:
                     apply_model(
                         self.config,
                         opened.model,
@@ -565,7 +533,7 @@ class Project:
         """Return the project as it is after a change of its effects."""
         follower = Project(self.directory, skip_invalid=self._skip_invalid, sensor=self.sensor)
         follower._scratch = self._scratch
-        follower.__dict__["dataset"] = self.dataset
+        follower._folder.__dict__["dataset"] = self.dataset
 
         def draw() -> "Figure":
             from zerodrift.report.figures import draw_revision

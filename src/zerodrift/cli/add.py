@@ -101,12 +101,12 @@ def command(
     from zerodrift.diagnosis.revision import summarise_revision
     from zerodrift.report.results import AddResult
     from zerodrift.tasks.effect_file import open_effect
-    from zerodrift.tasks.project import open_project, tell_design
+    from zerodrift.tasks.project import ProjectFolder, open_project, tell_design
     from zerodrift.tasks.revise import add_to_project, print_revision
 
     held, texts = read_held(hold), _split(options, "--set", "signal=body_temperature")
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
+    with show_progress() as say:
+        config, dataset = open_project(ProjectFolder(directory, sensor, skip_invalid), say)
         config, catalogue, kind = open_effect(config, effect)
         wanted = EffectConfig(kind, held, texts)
         revision, is_kept = add_to_project(config, dataset, catalogue, wanted, force=force, say=say)

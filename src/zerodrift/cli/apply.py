@@ -74,18 +74,19 @@ def command(
     (expanded, k = 2), in its unit; `flags` are the chip's. A log needs no reference. Rows without a
     reading are given to the chip as such.
     """
+    from zerodrift.fleet.sensors import load_unit
     from zerodrift.report.results import ApplyResult
     from zerodrift.tasks.applied_model import choose_file, open_applied, refuse_taken
     from zerodrift.tasks.apply import apply_model
-    from zerodrift.tasks.project import open_config, open_project
+    from zerodrift.tasks.project import ProjectFolder, open_project
 
-    config = open_config(directory, sensor)
+    config = load_unit(directory, sensor)
     pairs = [(log, choose_file(log, out, len(logs) > 1)) for log in logs]
     refuse_taken(pairs)
     opened = open_applied(
         config,
         kind,
-        load_logs=lambda: open_project(directory, sensor=sensor)[1],
+        load_logs=lambda: open_project(ProjectFolder(directory, sensor))[1],
         block=block,
     )
     with show_progress("applying") as say:

@@ -4,21 +4,23 @@ import functools
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import hold_project, settle_project
 from zerodrift.base.records import to_dict
 from zerodrift.base.terminal import CONTROLS
-from zerodrift.tasks.trust import TRUST, claim, require_place
+from zerodrift.tasks.trust import claim
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from zerodrift.base.config import Config
+TRUST = "zerodrift.trust"
+"""In a click context: `--trust` was given."""
 
 Command = TypeVar("Command", bound=Callable[..., object])
 Result = TypeVar("Result")
@@ -82,11 +84,21 @@ def packed(
     return decorate
 
 
-def json_option(function: Command) -> Command:
-    """Add `--json`, passed on as `as_json: bool`."""
+def json_option(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Add `--json`, passed on as `as_json: bool`; the result of a failed check is printed by it."""
+
+    @functools.wraps(function)
+    def call(*arguments: object, as_json: bool, **options: object) -> Result:
+        try:
+            return function(*arguments, as_json=as_json, **options)
+        except CheckError as error:
+            if as_json and error.result is not None:
+                print_result(error.result)
+            raise
+
     return click.option(
         "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
-    )(function)
+    )(call)
 
 
 def skip_invalid_option(function: Command) -> Command:
@@ -118,20 +130,8 @@ def out_option(function: Command) -> Command:
     )(function)
 
 
-def place_firmware(config: "Config", out: Path | None) -> "Config":
-    """Return a configuration whose firmware goes where the command line says.
-
-    Raises:
-        InputError: it goes outside the project, and the command line never said so.
-    """
-    if out is not None:
-        config = replace(config, firmware_out=out)
-    require_place(config.firmware_out, config.directory, out)
-    return config
-
-
 def trust_option(function: Command) -> Command:
-    """Add `--trust`, which `zerodrift.tasks.trust` finds in click's context."""
+    """Add `--trust`, which `is_trusted` finds in click's context."""
     return click.option(
         "--trust",
         is_flag=True,
@@ -144,6 +144,12 @@ def trust_option(function: Command) -> Command:
 
 def _note_trust(context: click.Context, _: click.Parameter, trust: bool) -> None:
     context.meta[TRUST] = trust
+
+
+def is_trusted() -> bool:
+    """Return whether the command was given `--trust`."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(TRUST))
 
 
 def print_result(result: object) -> None:

@@ -82,10 +82,10 @@ def command(
         require(PAGE, "zerodrift compare --html")
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.tasks.predictors import compare_project
-    from zerodrift.tasks.project import open_project
+    from zerodrift.tasks.project import ProjectFolder, open_project
 
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
+    with show_progress() as say:
+        config, dataset = open_project(ProjectFolder(directory, sensor, skip_invalid), say)
         catalogue = load_catalogue(config.plugin_files)
         compared = compare_project(config, dataset, catalogue, kind=kind, most=worst, say=say)
     predictor, comparison = compared.predictor, compared.comparison

@@ -63,7 +63,7 @@ def command(
     --sensor NAME diagnoses one unit.
     """
     from zerodrift.base.config import load_config
-    from zerodrift.tasks.project import is_fleet, open_project
+    from zerodrift.tasks.project import ProjectFolder, is_fleet, open_project
 
     if sensor is None and is_fleet(project := load_config(directory)):
         _diagnose_all(project, directory, auto, as_json, skip_invalid)
@@ -78,8 +78,8 @@ def command(
         summarise_verdict,
     )
 
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
+    with show_progress() as say:
+        config, dataset = open_project(ProjectFolder(directory, sensor, skip_invalid), say)
         catalogue = load_catalogue(config.plugin_files)
         verdict = find_verdict(config, dataset, catalogue, auto=auto, say=say)
         diagnosis, course = verdict.diagnosis, verdict.course

@@ -1,11 +1,11 @@
 """`zerodrift diagnose` in a fleet's folder: what the design lacks, and the units that differ."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.progress import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,7 +19,7 @@ MOST_LISTED = 8
 
 
 def diagnose_fleet(
-    config: Config, skip_invalid: bool, say: Callable[[str], None]
+    config: Config, skip_invalid: bool, say: Progress
 ) -> "tuple[FleetDiagnosis, Catalogue]":
     """Return the diagnosis of a design from all of its units together.
 
@@ -36,7 +36,7 @@ def diagnose_fleet(
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.tasks.trust import require_trust
 
-    require_trust(config.plugin_files, config.directory)
+    require_trust(config.plugin_files, config.directory, say)
     catalogue = load_catalogue(config.plugin_files)
     names = find_sensors(config)
     units, errors = [], {}

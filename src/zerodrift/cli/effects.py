@@ -7,7 +7,7 @@ import click
 
 from zerodrift.base.journal import write_text
 from zerodrift.cli.common import json_option, print_result, trust_option
-from zerodrift.cli.console import open_console, open_table
+from zerodrift.cli.console import open_console, open_table, show_progress
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,7 +55,8 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     plugins: tuple[Path, ...] = ()
     if (directory / "zerodrift.toml").is_file():
         plugins = load_config(directory).plugin_files
-        require_trust(plugins, directory)
+        with show_progress() as progress:
+            require_trust(plugins, directory, progress)
     catalogue = load_catalogue(plugins)
     if name is None:
         if html is not None:

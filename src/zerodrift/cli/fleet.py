@@ -17,10 +17,10 @@ from zerodrift.cli.common import (
     json_option,
     out_option,
     packed,
-    place_firmware,
     print_result,
     skip_invalid_option,
 )
+from zerodrift.cli.console import show_progress
 
 if TYPE_CHECKING:
     from zerodrift.fleet.blocks import FleetBlocks
@@ -125,6 +125,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     from zerodrift.fleet.register import enter_fleet
     from zerodrift.fleet.report import ERROR, FAIL, judge_fleet, summarise_report, write_report
     from zerodrift.fleet.run import run_fleet
+    from zerodrift.tasks.project import place_firmware
 
     config = place_firmware(load_config(directory), options.out)
     place = choose_device(options.device, config.network.kind != "none")
@@ -255,36 +256,13 @@ class _RunState:
 
 @contextmanager
 def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None]]":
-    """Show a bar on stderr, or lines for another program."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    from zerodrift.base.progress import PROGRESS_LINES, is_watched, print_progress
-    from zerodrift.base.terminal import open_terminal
-
-    def describe(p: "FleetProgress") -> str:
-        parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
-        return ", ".join(parts)
-
-    if os.environ.get(PROGRESS_LINES):
-
-        def tell_line(p: "FleetProgress") -> None:
-            state.progress = p
-            print_progress(f"{p.done} of {p.total} sensors {describe(p)}".strip())
-
-        yield tell_line
-        return
-    console = open_terminal(stderr=True)
-    columns = (
-        *(TextColumn("sensors"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
-        TextColumn("{task.fields[text]}", markup=False),
-    )
-    with Bar(*columns, console=console, disable=not is_watched()) as bar:
-        task = bar.add_task("", total=None, text="")
+    """Show on stderr how many sensors are done."""
+    with show_progress() as progress, progress.count("sensors") as report:
 
         def tell(p: "FleetProgress") -> None:
             state.progress = p
-            bar.update(task, completed=p.done, total=p.total, text=describe(p))
+            parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
+            report(p.done, p.total, ", ".join(parts))
 
         yield tell
 

@@ -60,10 +60,11 @@ def command(
     if html is not None:
         require(PAGE, "zerodrift history --html")
     from zerodrift.diagnosis.history import list_steps
-    from zerodrift.tasks.project import open_config, tell_design
+    from zerodrift.fleet.sensors import load_unit
+    from zerodrift.tasks.project import tell_design
     from zerodrift.tasks.revise import open_history
 
-    config = open_config(directory, sensor)
+    config = load_unit(directory, sensor)
     if restore is not None:
         with hold_project(directory):
             restore_step(config, restore)

@@ -13,9 +13,9 @@ from zerodrift.base.config import FILE_NAME, TRAIN, Config, parse_config
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.journal import write_text
 from zerodrift.cli.common import directory_option, json_option, print_result
+from zerodrift.cli.console import show_progress
 from zerodrift.dataset.guess import Guess, guess_project
 from zerodrift.dataset.guess_runs import LogFiles
-from zerodrift.dataset.selectors import list_files, order_path
 from zerodrift.tasks.init_toml import (
     TARED,
     find_temperature_unit,
@@ -152,7 +152,8 @@ def _explain_tare(config: Config, dataset: "Dataset") -> str:
 def _upgrade(directory: Path, as_json: bool) -> None:
     from zerodrift.tasks.upgrade import describe, upgrade
 
-    result = upgrade(directory)
+    with show_progress() as progress:
+        result = upgrade(directory, progress)
     if as_json:
         print_result(result)
     else:
@@ -228,18 +229,6 @@ def _ask_time(guess: Guess) -> Guess:
         time = replace(time, unit=unit)
     left = {key: each for key, each in guess.alternatives.items() if key != "time"}
     return replace(guess, time=time, sample_period_s=period_s, alternatives=left)
-
-
-def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
-    """Return the files named, and those of each directory named, sorted by name."""
-    paths: list[Path] = []
-    for log in logs:
-        place = log if log.exists() else directory / log
-        found = list_files(place)
-        if not found:
-            raise InputError(f"{place}: holds no log; expected CSV or Parquet files.")
-        paths += found
-    return sorted(set(paths), key=lambda path: order_path(path, directory))
 
 
 def _sort_by_use(logs: Sequence[LogFiles]) -> dict[str, list[LogFiles]]:

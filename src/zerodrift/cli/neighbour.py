@@ -83,12 +83,12 @@ def command(
     from zerodrift.base.files import write_whole
     from zerodrift.field.neighbours import KINDS
     from zerodrift.field.summary import NeighbourResult
+    from zerodrift.fleet.sensors import load_unit
     from zerodrift.tasks.applied_model import open_applied
     from zerodrift.tasks.neighbours import render_neighbour
-    from zerodrift.tasks.project import open_config
     from zerodrift.tasks.watched import load_nothing
 
-    config = open_config(directory, sensor)
+    config = load_unit(directory, sensor)
     applied = open_applied(config, load_logs=load_nothing)
     place = options.out if options.out is not None else Path(KINDS[kind].file)
     if place.exists() and "written by zerodrift" not in place.read_text("utf-8", "replace")[:200]:

@@ -34,17 +34,18 @@ def command(kind: str, directory: Path, sensor: str | None, as_json: bool) -> No
     writes once every compared bit is equal. Exit code 1: a file of it was changed or is missing, or
     it is stale.
     """
-    from zerodrift.cli.firmware import show_path
+    from zerodrift.base.files import show_path
     from zerodrift.codegen.packages import render_package
     from zerodrift.export.model_files import load_model
+    from zerodrift.fleet.sensors import load_unit
     from zerodrift.report.results import PackageResult
-    from zerodrift.tasks.project import open_config, refuse_shared_program
+    from zerodrift.tasks.project import ProjectFolder, refuse_shared_program
     from zerodrift.tasks.trust import require_place
     from zerodrift.verify.manifest import check_manifest
     from zerodrift.verify.replay import read_code
 
-    refuse_shared_program(directory, sensor)
-    config = open_config(directory, sensor)
+    refuse_shared_program(ProjectFolder(directory, sensor))
+    config = load_unit(directory, sensor)
     require_place(config.firmware_out, config.directory)
     check = check_manifest(config).require(f"{show_path(config.firmware_out, config.directory)}/")
     print_notes(tuple(f"not checked: {n.what}: {n.why}" for n in check.not_checked))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.base.errors import ZerodriftError
-from zerodrift.base.progress import print_progress
+from zerodrift.base.progress import Lines, Progress
 from zerodrift.base.records import to_json
 from zerodrift.report.findings import save_findings
 from zerodrift.tasks.survey import diagnose_once, list_contributions, survey_project
@@ -30,6 +30,7 @@ from zerodrift.workbench.events import (
 from zerodrift.workbench.jobs import EVENT_MARK
 
 PREVIEWS = 4
+PROGRESS = Progress(Lines())
 
 
 def survey(directory: Path, result: Path, skip_invalid: bool, sensor: str | None) -> None:
@@ -40,9 +41,9 @@ def survey(directory: Path, result: Path, skip_invalid: bool, sensor: str | None
         skip_invalid=skip_invalid,
         wants_diagnosis=False,
         wants_advice=False,
-        say=print_progress,
+        say=PROGRESS,
     )
-    print_progress("writing")
+    PROGRESS("writing")
     save_findings(findings, result)
     _tell(SURVEYED)
 
@@ -50,13 +51,13 @@ def survey(directory: Path, result: Path, skip_invalid: bool, sensor: str | None
 def diagnose(directory: Path, result: Path, skip_invalid: bool, sensor: str | None) -> None:
     """Write the diagnosis, and then the curves of the effects that it names."""
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.tasks.project import open_project
+    from zerodrift.tasks.project import ProjectFolder, open_project
     from zerodrift.tasks.survey import trace_provenance
 
-    config, dataset = open_project(directory, skip_invalid, sensor)
+    config, dataset = open_project(ProjectFolder(directory, sensor, skip_invalid), PROGRESS)
     catalogue = load_catalogue(config.plugin_files)
     mark = trace_provenance(config, dataset).mark
-    found = diagnose_once(config, dataset, catalogue, mark, True, print_progress)
+    found = diagnose_once(config, dataset, catalogue, mark, True, PROGRESS)
     text = json.dumps(to_json(found), ensure_ascii=False, allow_nan=False)
     (result / DIAGNOSIS).write_text(text, encoding="utf-8")
     _tell(DIAGNOSED)
@@ -64,9 +65,7 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool, sensor: str | No
         return
     if hasattr(os, "nice"):  # not on Windows
         os.nice(10)  # the verdict is on the page; what is drawn with it comes before further curves
-    for told in list_contributions(
-        config, dataset, catalogue, found.diagnosis, PREVIEWS, print_progress
-    ):
+    for told in list_contributions(config, dataset, catalogue, found.diagnosis, PREVIEWS, PROGRESS):
         for run, curve in told.curves.items():
             np.save(name_preview(result, told.effect, run), curve, allow_pickle=False)
         _tell(PREVIEWED)
@@ -75,8 +74,9 @@ def diagnose(directory: Path, result: Path, skip_invalid: bool, sensor: str | No
 def chip(directory: Path, result: Path, skip_invalid: bool, sensor: str | None) -> None:
     """Write the firmware's C as WebAssembly, the runs, and the reference's answers."""
     from zerodrift.tasks.chip import prepare_chip
+    from zerodrift.tasks.project import ProjectFolder
 
-    prepare_chip(directory, result, skip_invalid, sensor)
+    prepare_chip(ProjectFolder(directory, sensor, skip_invalid), result, PROGRESS)
     _tell(CHIP_READY)
 
 

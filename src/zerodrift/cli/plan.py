@@ -126,7 +126,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
     from zerodrift.discovery.plan import HOURS, Question
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.tasks.plan import find_plan, has_logs, keep_plan, load_limits
-    from zerodrift.tasks.project import open_config
+    from zerodrift.tasks.project import ProjectFolder
     from zerodrift.tasks.trust import require_trust
 
     if options.file is not None and options.file.suffix != ".csv":
@@ -134,8 +134,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
     if options.picture is not None and options.picture.suffix != ".html":
         raise InputError(f"--picture {options.picture}: expected a name that ends in .html.")
     with show_progress("reading logs") as say:
-        config = load_limits(open_config(directory, options.sensor), options.within)
-        require_trust(config.plugin_files, directory)
+        config = load_limits(ProjectFolder(directory, options.sensor).config, options.within)
+        require_trust(config.plugin_files, directory, say)
         dataset = load_dataset(config, skip_invalid) if has_logs(config) else None
         question = Question(
             hours=options.hours or config.experiment.hours or HOURS,

@@ -61,7 +61,7 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: Propose
     """
     from zerodrift.diagnosis.formula.effect_file import render_file
     from zerodrift.tasks.formula_search import search_formula
-    from zerodrift.tasks.project import open_project
+    from zerodrift.tasks.project import ProjectFolder, open_project
     from zerodrift.tasks.propose import explain_proposal, summarise_search
     from zerodrift.tasks.survey import keep_proposal
     from zerodrift.tasks.trust import remember
@@ -71,8 +71,8 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: Propose
         raise InputError(f"--write {file}: expected a name that ends in .py, as [plugins] takes.")
     if file is not None:
         check_place(file)
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, options.sensor)
+    with show_progress() as say:
+        config, dataset = open_project(ProjectFolder(directory, options.sensor, skip_invalid), say)
         found = search_formula(config, dataset, say, black_box=options.black_box)
     formula = found.search.formula
     is_written = file is None or formula is None or write_once(file, render_file(formula))

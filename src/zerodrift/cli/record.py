@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import click
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.progress import is_watched
 from zerodrift.base.terminal import open_terminal
 from zerodrift.cli.common import directory_option, json_option, packed, print_result
-from zerodrift.cli.console import open_console, open_table
+from zerodrift.cli.console import open_console, open_table, show_progress
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -252,7 +252,7 @@ def ending_softly() -> Iterator[Ending]:
 
 @contextmanager
 def open_picture(*, quiet: bool) -> Iterator["Show"]:
-    """Yield a function that shows a recording: a table on a terminal, else a line, or nothing."""
+    """Yield a function that shows a recording: a table on a terminal, else progress."""
     shown_s = 0.0
 
     def at_times(draw: Callable[["Covered", str], None]) -> "Show":
@@ -272,10 +272,7 @@ def open_picture(*, quiet: bool) -> Iterator["Show"]:
                 lambda covered, silent: live.update(draw_covered(covered, silent), refresh=True)
             )
         return
-    with open_text_progress() as say:
-        if say is None:
-            yield lambda *_: None
-            return
+    with show_progress() as say:
         yield at_times(lambda covered, silent: say(tell_covered(covered, silent)))
 
 

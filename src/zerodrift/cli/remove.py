@@ -46,12 +46,12 @@ def command(
     from zerodrift.diagnosis.revision import summarise_revision
     from zerodrift.physics.catalogue import load_catalogue
     from zerodrift.report.results import RemoveResult
-    from zerodrift.tasks.project import open_project, tell_design
+    from zerodrift.tasks.project import ProjectFolder, open_project, tell_design
     from zerodrift.tasks.revise import print_revision, remove_from_project
 
     signal = _read_signal(options)
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
+    with show_progress() as say:
+        config, dataset = open_project(ProjectFolder(directory, sensor, skip_invalid), say)
         catalogue = load_catalogue(config.plugin_files)
         revision = remove_from_project(config, dataset, catalogue, effect, signal, say)
     print_notes((*dataset.notes, *tell_design(config, sensor)))

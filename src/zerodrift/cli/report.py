@@ -114,7 +114,8 @@ def command(
     from zerodrift.tasks.trust import require_trust
 
     config = load_config(directory)
-    require_trust(config.plugin_files, directory)
+    with show_progress() as progress:
+        require_trust(config.plugin_files, directory, progress)
     calibration = None
     if options.dcc is not None:
         calibration = name_unit(config.calibration, sensor)

@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 import click
 
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.progress import Progress
 from zerodrift.cli.common import (
     directory_option,
+    is_trusted,
     json_option,
     print_result,
     sensor_option,
     trust_option,
 )
-from zerodrift.tasks.trust import is_trusted, require_code
+from zerodrift.tasks.trust import require_code
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -82,13 +84,14 @@ def command(
     """
     from zerodrift.base.journal import read_together
     from zerodrift.cli.console import show_progress
-    from zerodrift.tasks.project import open_config, refuse_shared_program
+    from zerodrift.fleet.sensors import load_unit
+    from zerodrift.tasks.project import ProjectFolder, refuse_shared_program
     from zerodrift.verify.replay import replay
 
     if elf is not None and not proves:
         raise InputError("--elf goes with --prove: `zerodrift verify --prove --elf FILE`")
-    refuse_shared_program(directory, sensor)
-    config = open_config(directory, sensor)
+    refuse_shared_program(ProjectFolder(directory, sensor))
+    config = load_unit(directory, sensor)
     if proves:
         _prove(config, as_json, elf)
         return
@@ -98,7 +101,7 @@ def command(
     folders = (config.build_directory, config.firmware_out)
     with show_progress("verifying") as say:
         outcome = read_together(
-            directory, folders, lambda: replay(config, say, required, consent=_Consent(config))
+            directory, folders, lambda: replay(config, say, required, consent=_Consent(config, say))
         )
     if as_json:
         print_result(outcome.summarise())
@@ -110,12 +113,13 @@ def command(
 class _Consent:
     """What the user agrees to have built and run; see `zerodrift.verify.replay.Consent`."""
 
-    def __init__(self, config: "Config") -> None:
+    def __init__(self, config: "Config", progress: Progress) -> None:
         self.despite_changes = is_trusted()
         self._folder = config.firmware_out
+        self._progress = progress
 
     def require(self, texts: "Mapping[str, str]") -> None:
-        require_code(texts, self._folder)
+        require_code(texts, self._folder, self._progress)
 
 
 def _print(outcome: "Replay") -> None:

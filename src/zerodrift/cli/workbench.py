@@ -18,7 +18,8 @@ from zerodrift.cli.common import (
     skip_invalid_option,
     trust_option,
 )
-from zerodrift.tasks.project import open_config
+from zerodrift.cli.console import show_progress
+from zerodrift.fleet.sensors import load_unit
 from zerodrift.tasks.trust import require_trust
 
 
@@ -52,8 +53,9 @@ def command(
     from zerodrift.workbench.hold import hold_directory, release_directory
 
     if sensor is not None:
-        open_config(directory, sensor)
-    require_trust(_list_plugins(directory), directory)
+        load_unit(directory, sensor)
+    with show_progress() as progress:
+        require_trust(_list_plugins(directory), directory, progress)
     # Refused before a page is promised; the page itself holds the directory from then on.
     release_directory(hold_directory(directory.resolve()))
     early = EarlyPage(directory, port, sensor)

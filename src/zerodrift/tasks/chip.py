@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.base.progress import print_progress
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.c_runtime.wasm import build_wasm
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import count_elapsed, encode_inputs
@@ -18,7 +18,7 @@ from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.tasks.applied_rows import FLAG_NAMES
-from zerodrift.tasks.project import open_project
+from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.verify.replay import read_code
 from zerodrift.workbench.chip import (
     MODEL,
@@ -38,24 +38,22 @@ AT_ONCE = 2048
 Answers = tuple[NDArray[np.int32], NDArray[np.uint32]]
 
 
-def prepare_chip(
-    directory: Path, result: Path, skip_invalid: bool, sensor: str | None = None
-) -> None:
+def prepare_chip(project: ProjectFolder, result: Path, progress: Progress = SILENT) -> None:
     """Write into `result` what the page needs to run the C of a project's, or a unit's, firmware.
 
     Raises:
         InputError: there is no firmware or no compiler, or a log cannot be read.
         CheckError: the C does not compile.
     """
-    config, dataset = open_project(directory, skip_invalid, sensor)
+    config, dataset = open_project(project, progress)
     path = config.build_directory / MODEL
     model = load_model(path)
-    print_progress("compiling to WebAssembly")
+    progress("compiling to WebAssembly")
     code = read_code(model, config.firmware_out)
     wasm = build_wasm(code)
     notes: list[str] = []
     runs, codes = _encode(config, model, dataset, notes)
-    answers = answer_by_reference(model, codes, [run.elapsed for run, _ in runs])
+    answers = answer_by_reference(model, codes, [run.elapsed for run, _ in runs], progress)
     replay = PageReplay(
         prefix=code.prefix,
         model_hash=model.hash,
@@ -69,7 +67,7 @@ def prepare_chip(
         reads=list_read(config, model),
         notes=tuple(notes),
     )
-    print_progress("writing")
+    progress("writing")
     shutil.copyfile(path, result / MODEL)
     told = zip(codes, answers, runs, strict=True)
     write_replay(result, replay, wasm, [(c, *a, measured) for c, a, (_, measured) in told])
@@ -102,7 +100,10 @@ def _describe(model: IntegerModel, run: Run, steps: int, held_out: bool) -> Repl
 
 
 def answer_by_reference(
-    model: IntegerModel, codes: Sequence[CodeArray], elapsed: Sequence[int]
+    model: IntegerModel,
+    codes: Sequence[CodeArray],
+    elapsed: Sequence[int],
+    progress: Progress = SILENT,
 ) -> list[Answers]:
     """Return the integer reference's drift [n, K] and flags [n] of several runs, all at once.
 
@@ -110,6 +111,7 @@ def answer_by_reference(
         model: the integer model.
         codes: of each run [n, C], begun at rest.
         elapsed: of each run the steps since power-on at its first.
+        progress: is told how far it is.
     """
     reference, longest = Reference(model), max(map(len, codes))
     firsts = [
@@ -120,7 +122,7 @@ def answer_by_reference(
     drift = np.empty((len(codes), longest, len(model.outputs)), dtype=np.int32)
     flags = np.empty((len(codes), longest), dtype=np.uint32)
     for start in range(0, longest, AT_ONCE):
-        print_progress(f"asking the reference: step {start} of {longest}")
+        progress(f"asking the reference: step {start} of {longest}")
         stop = min(start + AT_ONCE, longest)
         # What lies beyond a run's end is its last row again, and is not kept.
         at = np.arange(start, stop)

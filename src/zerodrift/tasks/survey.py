@@ -11,6 +11,7 @@ from zerodrift import __version__
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.sealed import render_sealed
 from zerodrift.cli.compare import describe_patterns, explain_figures
@@ -33,7 +34,7 @@ from zerodrift.report.proposal import ProposedFormula
 from zerodrift.report.results import CompareResult, HistoryResult, ProposeResult, ReportResult
 from zerodrift.tasks.built import read_firmware, read_kept, state_uncertainty
 from zerodrift.tasks.predictors import compare_predictor, open_predictor
-from zerodrift.tasks.project import open_project
+from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.tasks.revise import open_history
 from zerodrift.tasks.verdict import (
     explain_others,
@@ -62,7 +63,7 @@ def survey_project(
     wants_diagnosis: bool = True,
     wants_contribution: bool = False,
     wants_advice: bool = True,
-    say: Say = lambda _: None,
+    say: Progress = SILENT,
 ) -> Findings:
     """Return the results of `compare`, `diagnose`, `history`, `firmware` and `export`.
 
@@ -80,8 +81,7 @@ def survey_project(
     Raises:
         InputError: as the commands do.
     """
-    say("reading logs")
-    config, dataset = open_project(directory, skip_invalid, sensor)
+    config, dataset = open_project(ProjectFolder(directory, sensor, skip_invalid), say)
     catalogue = load_catalogue(config.plugin_files)
     say("fitting")
     predictor = open_predictor(None, config, dataset, catalogue)

@@ -17,10 +17,10 @@ from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
+from zerodrift.fleet.sensors import load_unit
 from zerodrift.tasks.applied_model import open_applied
 from zerodrift.tasks.deployed_block import find_serial
 from zerodrift.tasks.monitored_log import Deployed
-from zerodrift.tasks.project import open_config
 from zerodrift.verify.manifest import check_manifest
 
 OVERLAP_S = 7200.0
@@ -89,7 +89,7 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
         InputError: there is no firmware, no such unit, or an option cannot be read.
         CheckError: the files of the firmware are not those that were built and checked.
     """
-    config = open_config(directory, options.sensor)
+    config = load_unit(directory, options.sensor)
     applied = open_applied(config, load_logs=load_nothing, block=options.block)
     changed = [f for f in check_manifest(config, wants_inputs=False).findings if not f.is_stale]
     if changed:
