@@ -319,8 +319,8 @@ class Project:
             InputError: there is none of that name.
 
         Example:
-            >>> [(p.name, p.unit) for p in project.effect("thermal_lag").parameters]
-            [('tau_s', 's')]
+            >>> {p.name: p.unit for p in project.effect("thermal_lag").parameters}["tau_s"]
+            's'
         """
         found = _run(list_effects, EffectsRequest(self._folder, name)).result
         assert isinstance(found, EffectResult)
@@ -338,8 +338,8 @@ class Project:
 
         Example:
             >>> found = project.propose(black_box=False)
-            >>> found.found, found.suffices
-            (False, 'thermal_lag')
+            >>> found.found, found.written is None
+            (True, True)
         """
         request = ProposeRequest(self._folder, None if file is None else Path(file), black_box)
         found = _run(propose, request)

@@ -13,8 +13,6 @@ from zerodrift.base.errors import InputError
 from zerodrift.base.extras import PAGE, require
 from zerodrift.base.journal import write_text
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.c_runtime.host import HostModel
-from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
 from zerodrift.dataset.units import read_unit
 from zerodrift.diagnosis.advice import Advice, advise
@@ -32,10 +30,8 @@ from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.report.results import CompareResult
 from zerodrift.tasks.built import read_firmware, state_uncertainty
-from zerodrift.tasks.deployed_block import find_deployed_block
 from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.train.compensator import Compensator
-from zerodrift.verify.errors_told import predict_by_c
 from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
 Array = NDArray[np.float64]
@@ -262,6 +258,12 @@ def _open_integer(kind: str, compensator: Compensator, config: Config) -> Predic
 
     Where coefficients lie in a block it is what the program computes with the unit's block.
     """
+    # what builds firmware loads onnxruntime: 50 MB of address space, of which `--help` has 700
+    from zerodrift.c_runtime.host import HostModel
+    from zerodrift.codegen.generate import generate
+    from zerodrift.tasks.deployed_block import find_deployed_block
+    from zerodrift.verify.errors_told import predict_by_c
+
     model = load_model(config.build_directory / "model.json")
     block = find_deployed_block(config)
     notes = () if block is None else (block.note,)
