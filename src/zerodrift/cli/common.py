@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -14,6 +14,7 @@ from zerodrift.base.errors import CheckError
 from zerodrift.base.journal import hold_project, settle_project
 from zerodrift.base.records import to_dict
 from zerodrift.base.terminal import CONTROLS
+from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.trust import claim
 
 if TYPE_CHECKING:
@@ -78,6 +79,31 @@ def packed(
         def pack(*arguments: object, **given: object) -> Result:
             options = kind(**{name: given.pop(name) for name in names})
             return function(*arguments, options=options, **given)
+
+        return pack
+
+    return decorate
+
+
+def as_request(
+    kind: "type[DataclassInstance]",
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Pass the options that are fields of a task's request on as that request, `request`.
+
+    Args:
+        kind: of the request; a field has the name of its option, and `project` is what
+            `--sensor` and `--skip-invalid` say of the directory.
+    """
+    names = [field.name for field in fields(kind)]
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        @functools.wraps(function)
+        def pack(*arguments: object, **given: Any) -> Result:
+            if "project" in names:
+                of = {name: given.pop(name) for name in ("sensor", "skip_invalid") if name in given}
+                given["project"] = ProjectFolder(given.pop("directory"), **of)
+            request = kind(**{name: given.pop(name) for name in names if name in given})
+            return function(*arguments, request=request, **given)
 
         return pack
 

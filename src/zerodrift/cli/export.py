@@ -1,10 +1,9 @@
 """`zerodrift export`: the trained compensator as float ONNX, integer model and golden vectors."""
 
-from pathlib import Path
-
 import click
 
 from zerodrift.cli.common import (
+    as_request,
     directory_option,
     json_option,
     print_result,
@@ -13,7 +12,6 @@ from zerodrift.cli.common import (
 )
 from zerodrift.cli.console import show_progress
 from zerodrift.tasks.export import ExportRequest, export
-from zerodrift.tasks.project import ProjectFolder
 
 
 @click.command()
@@ -22,15 +20,13 @@ from zerodrift.tasks.project import ProjectFolder
 @json_option
 @skip_invalid_option
 @click.option("--force", is_flag=True, help="Export from logs in which wrong data are found.")
-def command(
-    directory: Path, sensor: str | None, as_json: bool, skip_invalid: bool, force: bool
-) -> None:
+@as_request(ExportRequest)
+def command(request: ExportRequest, as_json: bool) -> None:
     """Write build/: network.onnx (float), model.json, integer.onnx, golden.npz, certificate.json.
 
     The integer model is proven free of overflow for every input, or refused with the reason.
     Logs that hold wrong data stop it before anything is fitted: exit code 1.
     """
-    request = ExportRequest(ProjectFolder(directory, sensor, skip_invalid), force)
     with show_progress() as progress:
         found = export(request, progress)
     if as_json:

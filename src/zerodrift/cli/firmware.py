@@ -12,6 +12,7 @@ from zerodrift.base.errors import CheckError
 from zerodrift.base.files import show_path
 from zerodrift.blocks.block import decode_header
 from zerodrift.cli.common import (
+    as_request,
     directory_option,
     json_option,
     out_option,
@@ -30,8 +31,6 @@ from zerodrift.cli.console import (
 from zerodrift.cli.onnx_option import onnx_options
 from zerodrift.operations.input import IntegerInput
 from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
-from zerodrift.tasks.imported import OnnxRequest
-from zerodrift.tasks.project import ProjectFolder
 from zerodrift.verify.conversions_told import tell_conversions
 from zerodrift.verify.errors_told import OutputError
 from zerodrift.verify.firmware import Firmware
@@ -65,16 +64,8 @@ BUDGET_ROWS = 5
 )
 @out_option
 @onnx_options
-def command(
-    directory: Path,
-    sensor: str | None,
-    as_json: bool,
-    skip_invalid: bool,
-    force: bool,
-    uncertainty: bool,
-    out: Path | None,
-    onnx: OnnxRequest | None,
-) -> None:
+@as_request(FirmwareRequest)
+def command(request: FirmwareRequest, as_json: bool) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
     Writes <out>/<sensor>.h and .c with runtime, certificate.json and manifest.json beside them,
@@ -92,8 +83,6 @@ def command(
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
     """
-    project = ProjectFolder(directory, sensor, skip_invalid)
-    request = FirmwareRequest(project, force, uncertainty, out, onnx)
     with show_progress() as progress:
         made = make_firmware(request, progress)
     if as_json:

@@ -1,12 +1,12 @@
 """`zerodrift train`: fits the effects, then trains the network on the rest of the drift."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from zerodrift.cli.common import (
+    as_request,
     directory_option,
     json_option,
     print_notes,
@@ -21,7 +21,6 @@ from zerodrift.cli.console import (
     print_choice,
     show_progress,
 )
-from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.train.scores import Scores
 
@@ -44,25 +43,16 @@ if TYPE_CHECKING:
     help="Take up an interrupted training (default), or begin again.",
 )
 @click.option("--force", is_flag=True, help="Train on logs in which wrong data are found.")
-def command(
-    directory: Path,
-    sensor: str | None,
-    as_json: bool,
-    skip_invalid: bool,
-    epochs: int | None,
-    starts: int | None,
-    resume: bool,
-    force: bool,
-) -> None:
+@as_request(TrainRequest)
+def command(request: TrainRequest, as_json: bool) -> None:
     """Fit the effects of zerodrift.toml, then train the network on what they leave.
 
     Writes build/compensator.json and build/network.onnx; of a unit of a fleet, those in
     build/fleet/NAME/. An interrupted training is taken up again by the next call, with the same
     result to the bit. Logs that hold wrong data stop it before anything is fitted: exit code 1.
     """
-    project = ProjectFolder(directory, sensor, skip_invalid)
     with show_progress() as progress:
-        found = train(TrainRequest(project, epochs, starts, resume, force), progress)
+        found = train(request, progress)
     if as_json:
         print_result(found.result)
         return

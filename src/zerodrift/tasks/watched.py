@@ -11,14 +11,13 @@ from typing import IO, Protocol
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
-from zerodrift.dataset.runs import Dataset
 from zerodrift.field.registry import LEARNING, open_registry
 from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
 from zerodrift.field.summary import MonitorResult
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
 from zerodrift.fleet.sensors import load_unit
-from zerodrift.tasks.applied_model import open_applied
+from zerodrift.tasks.applied_model import load_nothing, open_applied
 from zerodrift.tasks.deployed_block import find_serial
 from zerodrift.tasks.monitored_log import Deployed
 from zerodrift.verify.manifest import check_manifest
@@ -99,11 +98,6 @@ def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tu
     serial = find_serial(config)
     deployed = Deployed(name, serial, config, applied.model, applied.uncertainty, loads, when)
     return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
-
-
-def load_nothing() -> Dataset:
-    """Take the place of a project's logs, which the integer model does not need."""
-    raise AssertionError("the integer model needs no logs")
 
 
 def _read_loads(
