@@ -12,15 +12,18 @@ from zerodrift.base.progress import Progress, show_progress
 from zerodrift.base.shown import with_picture
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.history import Step
+from zerodrift.field.summary import NeighbourResult
 from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.report.results import (
     AddResult,
     CompareResult,
     DiagnoseResult,
+    DiffResult,
     EffectResult,
     EffectsResult,
     ExportResult,
     HistoryResult,
+    PackageResult,
     PlanResult,
     ProposeResult,
     RemoveResult,
@@ -28,10 +31,13 @@ from zerodrift.report.results import (
 )
 from zerodrift.tasks.compare import CompareRequest, compare
 from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
+from zerodrift.tasks.diff import DiffRequest, diff
 from zerodrift.tasks.effects import EffectsRequest, list_effects
 from zerodrift.tasks.export import ExportRequest, export
 from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
 from zerodrift.tasks.init import InitRequest, begin
+from zerodrift.tasks.neighbour import NeighbourRequest, write_neighbour
+from zerodrift.tasks.package import PackageRequest, write_package
 from zerodrift.tasks.plan import PlanRequest, plan
 from zerodrift.tasks.project import ProjectFolder, is_fleet
 from zerodrift.tasks.propose import ProposeRequest, propose
@@ -599,6 +605,82 @@ class Project:
         added = [name for name in applied.columns if name not in frame.columns]
         added = [name for name in added if name not in frame.index.names]
         return frame.assign(**{name: applied[name].to_numpy() for name in added})
+
+    def diff(
+        self,
+        old: "str | Path | Project",
+        *logs: str | Path,
+        limit_pct_fs: float | None = None,
+    ) -> DiffResult:
+        """Return what changed from another model to this one, and by how much the drifts differ.
+
+        Args:
+            old: a project, a firmware folder or a model.json.
+            *logs: over which they are compared; none: the calibrated range that both have.
+            limit_pct_fs: share of full scale, in percent, that no drift may differ by.
+
+        Raises:
+            InputError: a model or a log cannot be read, or outputs or inputs are not the same.
+
+        Example:
+            >>> built.diff(built).same
+            True
+        """
+        place = old.directory if isinstance(old, Project) else Path(old)
+        request = DiffRequest(
+            place,
+            self.directory,
+            tuple(map(Path, logs)),
+            limit_pct_fs=limit_pct_fs,
+            skip_invalid=self._folder.skip_invalid,
+        )
+        return _run(diff, request)
+
+    def package(self, kind: str) -> PackageResult:
+        """Write the C of the last firmware as a package; return what it holds.
+
+        Args:
+            kind: cmake | zephyr | arduino | platformio | esp-idf | pico | python | ros2.
+
+        Raises:
+            InputError: no firmware was built.
+            CheckError: a file of it was changed, or it is stale.
+
+        Example:
+            >>> built.package("cmake").package
+            'cmake'
+        """
+        self._refuse_moved()
+        return _run(write_package, PackageRequest(self._folder, kind)).result
+
+    def neighbour(
+        self,
+        kind: str,
+        out: str | Path,
+        *,
+        outputs: Sequence[str] = (),
+        device: int | None = None,
+        order: int | None = None,
+    ) -> NeighbourResult:
+        """Write the model of the last firmware as another program takes it; return what is lost.
+
+        Args:
+            kind: px4 | ardupilot | chrony | polynomial.
+            out: the file to be written.
+            outputs: in the order of the program's axes; none: all.
+            device: number of the sensor in that program; None: its first.
+            order: of `polynomial`.
+
+        Raises:
+            InputError: no firmware was built, or the program does not take an output or its unit.
+
+        Example:
+            >>> told = built.neighbour("polynomial", folder / "fz.csv", order=2)
+            >>> (folder / "fz.csv").exists()
+            True
+        """
+        request = NeighbourRequest(self._folder, kind, (), tuple(outputs), device, order, Path(out))
+        return _run(write_neighbour, request).result
 
     def report(
         self,
