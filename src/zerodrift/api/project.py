@@ -16,15 +16,18 @@ from zerodrift.field.summary import NeighbourResult
 from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.report.results import (
     AddResult,
+    CertificateResult,
     CompareResult,
     DiagnoseResult,
     DiffResult,
+    DoctorResult,
     EffectResult,
     EffectsResult,
     ExportResult,
     HistoryResult,
     PackageResult,
     PlanResult,
+    ProofResult,
     ProposeResult,
     RemoveResult,
     TrainResult,
@@ -32,6 +35,7 @@ from zerodrift.report.results import (
 from zerodrift.tasks.compare import CompareRequest, compare
 from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
 from zerodrift.tasks.diff import DiffRequest, diff
+from zerodrift.tasks.doctor import examine
 from zerodrift.tasks.effects import EffectsRequest, list_effects
 from zerodrift.tasks.export import ExportRequest, export
 from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
@@ -52,7 +56,8 @@ from zerodrift.tasks.revise import (
 )
 from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.tasks.trust import remember
-from zerodrift.verify.summary import FirmwareSummary
+from zerodrift.tasks.verify import VerifyRequest, check_folder, prove, verify
+from zerodrift.verify.summary import FirmwareSummary, VerifySummary
 from zerodrift.workbench.run import WorkbenchRequest, run_workbench
 
 if TYPE_CHECKING:
@@ -536,6 +541,59 @@ class Project:
         if made.refusal:
             raise CheckError(f"{made.refusal}\nNothing was written.", made.result)
         return made.result
+
+    def verify(self, *, required: Sequence[str] = ()) -> VerifySummary:
+        """Build and run what lies in the firmware folder, and hold it against the model.
+
+        Args:
+            required: what must have been checked, such as a core.
+
+        Raises:
+            InputError: there is no firmware, or C that zerodrift did not write.
+
+        Example:
+            >>> found = built.verify()
+            >>> found.bit_exact, found.failures
+            (True, ())
+        """
+        return _run(verify, VerifyRequest(self._folder, tuple(required))).summarise()
+
+    def check_certificate(self) -> CertificateResult:
+        """Derive every bound of the firmware's certificate again, from the C alone.
+
+        Raises:
+            InputError: there is no certificate.
+
+        Example:
+            >>> built.check_certificate().certificate
+            'holds'
+        """
+        return _run(check_folder, VerifyRequest(self._folder))
+
+    def prove(self, elf: str | Path | None = None) -> ProofResult:
+        """Return what is proven of the firmware's C, part by part.
+
+        Args:
+            elf: a program whose kernels in assembly are proven with the folder's.
+
+        Raises:
+            InputError: there is no firmware, or its coefficients lie in a block.
+
+        Example:
+            >>> built.prove().proven
+            True
+        """
+        request = VerifyRequest(self._folder, elf=None if elf is None else Path(elf))
+        return _run(prove, request)
+
+    def doctor(self) -> DoctorResult:
+        """Return what this machine has and lacks, and the project's state.
+
+        Example:
+            >>> {item.group for item in project.doctor().items} >= {"packages"}
+            True
+        """
+        return examine(self.directory)
 
     @overload
     def apply(
