@@ -145,13 +145,13 @@ def _train(parts: Sequence[_Retraining], handling: Handling) -> list[Compensator
     if not parts:
         return []
     from zerodrift.train.conclude import assemble
-    from zerodrift.train.engine import Progress, train_networks
+    from zerodrift.train.engine import EpochProgress, train_networks
     from zerodrift.train.network_training import pose
 
     posed = [p for p in parts if p.settings is not None]
     checkpoint = handling.folder / LEFT_OUT if handling.folder else None
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: EpochProgress) -> None:
         handling.report(Stage(progress.done, f"without a run, {progress.train_rmse:.3f}"))
 
     problems = [

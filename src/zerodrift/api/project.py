@@ -1,29 +1,64 @@
 """The Python face: a project with the commands as methods that return typed results."""
 
-import contextlib
-import io
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast, overload
 
-from zerodrift.base.config import Config, EffectConfig
+from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
-from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.journal import settle_project
 from zerodrift.base.progress import Progress, show_progress
 from zerodrift.base.shown import with_picture
-from zerodrift.physics.catalogue import Catalogue
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.history import Step
+from zerodrift.field.summary import NeighbourResult
+from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.report.results import (
     AddResult,
+    CertificateResult,
     CompareResult,
     DiagnoseResult,
+    DiffResult,
+    DoctorResult,
+    EffectResult,
+    EffectsResult,
+    ExportResult,
     HistoryResult,
+    PackageResult,
     PlanResult,
+    ProofResult,
+    ProposeResult,
     RemoveResult,
     TrainResult,
 )
-from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.compare import CompareRequest, compare
+from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
+from zerodrift.tasks.diff import DiffRequest, diff
+from zerodrift.tasks.doctor import examine
+from zerodrift.tasks.effects import EffectsRequest, list_effects
+from zerodrift.tasks.export import ExportRequest, export
+from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
+from zerodrift.tasks.init import InitRequest, begin
+from zerodrift.tasks.neighbour import NeighbourRequest, write_neighbour
+from zerodrift.tasks.package import PackageRequest, write_package
+from zerodrift.tasks.plan import PlanRequest, plan
+from zerodrift.tasks.project import ProjectFolder, is_fleet
+from zerodrift.tasks.propose import ProposeRequest, propose
+from zerodrift.tasks.report import ReportRequest, report
+from zerodrift.tasks.revise import (
+    AddRequest,
+    HistoryRequest,
+    RemoveRequest,
+    add,
+    remove,
+    show_history,
+)
+from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.tasks.trust import remember
+from zerodrift.tasks.verify import VerifyRequest, check_folder, prove, verify
+from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.workbench.run import WorkbenchRequest, run_workbench
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -32,10 +67,9 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from zerodrift.api.frames import BeginningOptions, FrameOptions, Output, PandasFrame
-    from zerodrift.dataset.runs import Dataset
-    from zerodrift.diagnosis.revision import Revision
-    from zerodrift.verify.summary import FirmwareSummary
 
+Request = TypeVar("Request")
+Outcome = TypeVar("Outcome")
 Pandas = TypeVar("Pandas", bound="PandasFrame")
 
 
@@ -67,14 +101,12 @@ class Project:
         self, directory: str | Path, *, skip_invalid: bool = False, sensor: str | None = None
     ) -> None:
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
-        self._skip_invalid = skip_invalid
-        self.sensor = sensor
         settle_project(Path(directory))
         self._folder = ProjectFolder(Path(directory), sensor, skip_invalid)
         self.config: Config = self._folder.config
         self._text = self.config.path.read_bytes()
         remember(self.config.plugin_files)
-        self._catalogue: Catalogue = self._folder.catalogue
+        _ = self._folder.catalogue  # a wrong file of effects is told now
 
     @classmethod
     def from_frames(
@@ -130,6 +162,43 @@ class Project:
         project._scratch = scratch
         return project
 
+    @classmethod
+    def init(
+        cls,
+        *logs: str | Path,
+        directory: str | Path = ".",
+        force: bool = False,
+        period_s: float | None = None,
+    ) -> "Project":
+        """Write a zerodrift.toml guessed from logs, and return the project.
+
+        Args:
+            *logs: files or folders, seen from the current directory or from `directory`.
+            directory: where the project begins.
+            force: overwrite an existing zerodrift.toml.
+            period_s: interval between rows, for logs without times.
+
+        Raises:
+            InputError: there is a zerodrift.toml already, or the logs cannot be read.
+
+        Example:
+            >>> begun = zd.Project.init("logs", directory=folder, force=True)
+            >>> begun.config.outputs[0].measured
+            'fz_N'
+        """
+        begin(InitRequest(Path(directory), tuple(map(Path, logs)), force, period_s))
+        return cls(directory)
+
+    @property
+    def sensor(self) -> str | None:
+        """The unit of a fleet that this is; None for a sensor of its own.
+
+        Example:
+            >>> project.sensor is None
+            True
+        """
+        return self._folder.sensor
+
     @property
     def directory(self) -> Path:
         """The folder of zerodrift.toml.
@@ -151,7 +220,7 @@ class Project:
         return tuple(effect.kind for effect in self.config.effects)
 
     @property
-    def dataset(self) -> "Dataset":
+    def dataset(self) -> Dataset:
         """The runs: time [n] s, temperature [n] degC, drift [n, K] in the outputs' units.
 
         Raises:
@@ -180,12 +249,7 @@ class Project:
             >>> error.unit, error.noise_floor < error.rmse_heldout < error.rmse_uncompensated
             ('N', True)
         """
-        from zerodrift.tasks.predictors import compare_project
-
-        with show_progress(Progress, "comparing") as say:
-            compared = compare_project(
-                self.config, self.dataset, self._catalogue, kind=model, say=say
-            )
+        compared = _run(compare, CompareRequest(self._folder, model))
         comparison = compared.comparison
 
         def draw(output: str | None = None) -> "Figure":
@@ -200,6 +264,8 @@ class Project:
     def diagnose(self, *, auto: bool = False) -> DiagnoseResult:
         """Return which effect the model lacks; `.plot()` draws the candidates.
 
+        Of a fleet it is asked of one unit, `sensor=`; `diagnose_fleet` speaks of the design.
+
         Args:
             auto: add what is missing, without writing it, and diagnose again until nothing is.
 
@@ -208,24 +274,88 @@ class Project:
             >>> verdict.verdict, verdict.effect
             ('missing', 'thermal_lag')
         """
-        from zerodrift.diagnosis.advice import advise
-        from zerodrift.tasks.verdict import find_verdict, list_commands, summarise_verdict
-
-        with show_progress(Progress, "diagnosing") as say:
-            verdict = find_verdict(self.config, self.dataset, self._catalogue, auto=auto, say=say)
-            course = verdict.course
-            effects = self.config.effects if course is None else course.effects
-            advice = advise(self.config, self.dataset, effects)
-        commands = list_commands(self.config.effects, verdict.steps, self._catalogue)
-        told = advice.summarise() if advice is not None else None
-        found = summarise_verdict(verdict, commands, told, self.directory)
+        diagnosed = _run(diagnose, DiagnoseRequest(self._folder, auto))
+        if isinstance(diagnosed, FleetDiagnosis):
+            raise InputError(
+                f"{self.config.path}: is a fleet's; expected one unit, `Project(folder,"
+                " sensor=NAME)`. `diagnose_fleet` says what all units lack."
+            )
 
         def draw() -> "Figure":
             from zerodrift.report.figures import draw_candidates
 
-            return draw_candidates(verdict.diagnosis)
+            return draw_candidates(diagnosed.verdict.diagnosis)
 
-        return with_picture(found, draw)
+        return with_picture(diagnosed.summarise(self.directory), draw)
+
+    def diagnose_fleet(self) -> FleetDiagnosis:
+        """Return what the design of a fleet lacks, by all of its units together.
+
+        Raises:
+            InputError: the project is no fleet's.
+
+        Example:
+            >>> project.diagnose_fleet()
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        if self.sensor is not None or not is_fleet(self.config):
+            raise InputError(
+                f"{self.config.path}: is one sensor's; expected a fleet, whose [fleet] or [logs]"
+                " name the folders of its units. `diagnose` says what this one lacks."
+            )
+        found = _run(diagnose, DiagnoseRequest(self._folder))
+        assert isinstance(found, FleetDiagnosis)
+        return found
+
+    def catalogue(self) -> EffectsResult:
+        """Return the catalogue of effects, the project's own with them.
+
+        Example:
+            >>> kinds = [effect.kind for effect in project.catalogue().effects]
+            >>> "thermal_lag" in kinds, "creep" in kinds
+            (True, True)
+        """
+        found = _run(list_effects, EffectsRequest(self._folder)).result
+        assert isinstance(found, EffectsResult)
+        return found
+
+    def effect(self, name: str) -> EffectResult:
+        """Return everything declared about an effect.
+
+        Args:
+            name: of the effect.
+
+        Raises:
+            InputError: there is none of that name.
+
+        Example:
+            >>> {p.name: p.unit for p in project.effect("thermal_lag").parameters}["tau_s"]
+            's'
+        """
+        found = _run(list_effects, EffectsRequest(self._folder, name)).result
+        assert isinstance(found, EffectResult)
+        return found
+
+    def propose(self, file: str | Path | None = None, *, black_box: bool = True) -> ProposeResult:
+        """Return a formula for what no effect of the catalogue explains, or that there is none.
+
+        Args:
+            file: where it is written as a file of effects, which `add` takes.
+            black_box: whether a lag bank and a GRU are tried on the same runs.
+
+        Raises:
+            InputError: the file is there and holds something else.
+
+        Example:
+            >>> found = project.propose(black_box=False)
+            >>> found.found, found.written is None
+            (True, True)
+        """
+        request = ProposeRequest(self._folder, None if file is None else Path(file), black_box)
+        found = _run(propose, request)
+        request.require_written(found)
+        return found
 
     def plan(
         self,
@@ -254,15 +384,8 @@ class Project:
             >>> planned.hours <= 4.0 and len(planned.programme) > 0
             True
         """
-        from zerodrift.discovery.plan import HOURS, Question
-        from zerodrift.tasks.plan import find_plan, has_logs, read_within
-
-        config = self.config if within is None else read_within(self.config, within)
-        dataset = self.dataset if has_logs(config) else None
-        wanted = hours if hours is not None else config.experiment.hours or HOURS
-        question = Question(wanted, tuple(between), target, budget_s)
-        with show_progress(Progress, "planning") as say:
-            found = find_plan(config, dataset, self._catalogue, question, say)[1]
+        request = PlanRequest(self._folder, hours, tuple(between), target, budget_s, within=within)
+        found = _run(plan, request).result
 
         def draw() -> "Figure":
             from zerodrift.report.figures_plan import draw_plan
@@ -300,28 +423,21 @@ class Project:
             >>> better.revision.helps
             True
         """
-        from zerodrift.diagnosis.revision import summarise_revision
-        from zerodrift.tasks.effect_file import open_effect
-        from zerodrift.tasks.revise import add_to_project
-
         if effect is None:
             raise InputError(
                 "add: no effect was named; expected the name of one. The verdict names none where "
                 "nothing is missing, or nothing that the catalogue knows."
             )
         self._refuse_moved()
-        config, catalogue, kind = open_effect(self.config, effect)
-        wanted = EffectConfig(kind, dict(hold or {}), {"signal": signal} if signal else {})
-        with (
-            hold_project(self.directory),
-            show_progress(Progress, f"fitting without and with {kind}"),
-        ):
-            revision, is_kept = add_to_project(config, self.dataset, catalogue, wanted, force=force)
-        if not is_kept:
+        options = {"signal": signal} if signal else {}
+        found = _run(add, AddRequest(self._folder, effect, dict(hold or {}), options, force))
+        if not found.result.added:
             raise CheckError(
-                f"{effect} was not added: {revision.reason}. `force=True` adds it all the same."
+                f"{effect} was not added: {found.revision.reason}. `force=True` adds it all the"
+                " same.",
+                found.result,
             )
-        return self._follow(AddResult(**vars(summarise_revision(revision)), added=True), revision)
+        return self._follow(found.result)
 
     def remove(self, effect: str, *, signal: str = "") -> "Project":
         """Remove an effect from zerodrift.toml, refit, and return the new project.
@@ -338,18 +454,8 @@ class Project:
             >>> plain.effects
             ('zero_tempco',)
         """
-        from zerodrift.diagnosis.revision import summarise_revision
-        from zerodrift.tasks.revise import remove_from_project
-
         self._refuse_moved()
-        with (
-            hold_project(self.directory),
-            show_progress(Progress, f"fitting with and without {effect}"),
-        ):
-            revision = remove_from_project(
-                self.config, self.dataset, self._catalogue, effect, signal
-            )
-        return self._follow(RemoveResult(**vars(summarise_revision(revision))), revision)
+        return self._follow(_run(remove, RemoveRequest(self._folder, effect, signal)).result)
 
     revision: AddResult | RemoveResult | None = None
     """The change that made this project, with its errors; None for a project that was opened."""
@@ -361,17 +467,25 @@ class Project:
             >>> [step.step for step in project.add("thermal_lag").history().steps]
             ['start', '+ thermal_lag']
         """
-        from zerodrift.diagnosis.history import list_steps
-        from zerodrift.tasks.revise import open_history
+        steps = show_history(HistoryRequest(self._folder)).steps
+        return _draw_steps(steps)
 
-        steps = list_steps(open_history(self.config)[1])
+    def restore(self, step: int) -> "Project":
+        """Write the effects of a step of the history back, and return the new project.
 
-        def draw() -> "Figure":
-            from zerodrift.report.figures import draw_staircase
+        Args:
+            step: its number, from 0, as `history` lists them.
 
-            return draw_staircase(steps)
+        Raises:
+            InputError: there is no such step, or zerodrift.toml has changed since.
 
-        return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
+        Example:
+            >>> project.add("thermal_lag").restore(0).effects
+            ('zero_tempco',)
+        """
+        self._refuse_moved()
+        show_history(HistoryRequest(self._folder, restore=step))
+        return self._follow(None)
 
     def train(self, *, force: bool = False) -> TrainResult:
         """Fit the effects, then train the network on the rest; checkpoints go to build/.
@@ -387,13 +501,26 @@ class Project:
             >>> list(trained.outputs)
             ['Fz']
         """
-        from zerodrift.tasks.train import TrainRequest, train
-
         self._refuse_moved()
-        with show_progress(Progress) as progress:
-            return train(TrainRequest(self._folder, force=force), progress).result
+        return _run(train, TrainRequest(self._folder, force=force)).result
 
-    def firmware(self, *, force: bool = False, uncertainty: bool = True) -> "FirmwareSummary":
+    def export(self, *, force: bool = False) -> ExportResult:
+        """Write float ONNX, integer model, integer ONNX, golden vectors and certificate to build/.
+
+        Args:
+            force: train on logs in which wrong data are found.
+
+        Raises:
+            CheckError: wrong data are found in the logs, or a bound does not hold.
+
+        Example:
+            >>> built.export().bounds_proven > 0
+            True
+        """
+        self._refuse_moved()
+        return _run(export, ExportRequest(self._folder, force))
+
+    def firmware(self, *, force: bool = False, uncertainty: bool = True) -> FirmwareSummary:
         """Train if needed, quantize, generate C, check it bit for bit, and write it.
 
         Args:
@@ -409,15 +536,64 @@ class Project:
             >>> firmware.bit_exact, "host" in firmware.backends
             (True, True)
         """
-        from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
-
         self._refuse_moved()
-        request = FirmwareRequest(self._folder, force=force, uncertainty=uncertainty)
-        with show_progress(Progress) as progress:
-            made = make_firmware(request, progress)
+        made = _run(make_firmware, FirmwareRequest(self._folder, force, uncertainty))
         if made.refusal:
             raise CheckError(f"{made.refusal}\nNothing was written.", made.result)
         return made.result
+
+    def verify(self, *, required: Sequence[str] = ()) -> VerifySummary:
+        """Build and run what lies in the firmware folder, and hold it against the model.
+
+        Args:
+            required: what must have been checked, such as a core.
+
+        Raises:
+            InputError: there is no firmware, or C that zerodrift did not write.
+
+        Example:
+            >>> found = built.verify()
+            >>> found.bit_exact, found.failures
+            (True, ())
+        """
+        return _run(verify, VerifyRequest(self._folder, tuple(required))).summarise()
+
+    def check_certificate(self) -> CertificateResult:
+        """Derive every bound of the firmware's certificate again, from the C alone.
+
+        Raises:
+            InputError: there is no certificate.
+
+        Example:
+            >>> built.check_certificate().certificate
+            'holds'
+        """
+        return _run(check_folder, VerifyRequest(self._folder))
+
+    def prove(self, elf: str | Path | None = None) -> ProofResult:
+        """Return what is proven of the firmware's C, part by part.
+
+        Args:
+            elf: a program whose kernels in assembly are proven with the folder's.
+
+        Raises:
+            InputError: there is no firmware, or its coefficients lie in a block.
+
+        Example:
+            >>> built.prove().proven
+            True
+        """
+        request = VerifyRequest(self._folder, elf=None if elf is None else Path(elf))
+        return _run(prove, request)
+
+    def doctor(self) -> DoctorResult:
+        """Return what this machine has and lacks, and the project's state.
+
+        Example:
+            >>> {item.group for item in project.doctor().items} >= {"packages"}
+            True
+        """
+        return examine(self.directory)
 
     @overload
     def apply(
@@ -474,7 +650,7 @@ class Project:
                         [(log, out)],
                         uncertainty=opened.uncertainty,
                         predict_float=opened.predict_float,
-                        skip_invalid=self._skip_invalid,
+                        skip_invalid=self._folder.skip_invalid,
                         say=say,
                     )
             except InputError as error:
@@ -487,6 +663,82 @@ class Project:
         added = [name for name in applied.columns if name not in frame.columns]
         added = [name for name in added if name not in frame.index.names]
         return frame.assign(**{name: applied[name].to_numpy() for name in added})
+
+    def diff(
+        self,
+        old: "str | Path | Project",
+        *logs: str | Path,
+        limit_pct_fs: float | None = None,
+    ) -> DiffResult:
+        """Return what changed from another model to this one, and by how much the drifts differ.
+
+        Args:
+            old: a project, a firmware folder or a model.json.
+            *logs: over which they are compared; none: the calibrated range that both have.
+            limit_pct_fs: share of full scale, in percent, that no drift may differ by.
+
+        Raises:
+            InputError: a model or a log cannot be read, or outputs or inputs are not the same.
+
+        Example:
+            >>> built.diff(built).same
+            True
+        """
+        place = old.directory if isinstance(old, Project) else Path(old)
+        request = DiffRequest(
+            place,
+            self.directory,
+            tuple(map(Path, logs)),
+            limit_pct_fs=limit_pct_fs,
+            skip_invalid=self._folder.skip_invalid,
+        )
+        return _run(diff, request)
+
+    def package(self, kind: str) -> PackageResult:
+        """Write the C of the last firmware as a package; return what it holds.
+
+        Args:
+            kind: cmake | zephyr | arduino | platformio | esp-idf | pico | python | ros2.
+
+        Raises:
+            InputError: no firmware was built.
+            CheckError: a file of it was changed, or it is stale.
+
+        Example:
+            >>> built.package("cmake").package
+            'cmake'
+        """
+        self._refuse_moved()
+        return _run(write_package, PackageRequest(self._folder, kind)).result
+
+    def neighbour(
+        self,
+        kind: str,
+        out: str | Path,
+        *,
+        outputs: Sequence[str] = (),
+        device: int | None = None,
+        order: int | None = None,
+    ) -> NeighbourResult:
+        """Write the model of the last firmware as another program takes it; return what is lost.
+
+        Args:
+            kind: px4 | ardupilot | chrony | polynomial.
+            out: the file to be written.
+            outputs: in the order of the program's axes; none: all.
+            device: number of the sensor in that program; None: its first.
+            order: of `polynomial`.
+
+        Raises:
+            InputError: no firmware was built, or the program does not take an output or its unit.
+
+        Example:
+            >>> told = built.neighbour("polynomial", folder / "fz.csv", order=2)
+            >>> (folder / "fz.csv").exists()
+            True
+        """
+        request = NeighbourRequest(self._folder, kind, (), tuple(outputs), device, order, Path(out))
+        return _run(write_neighbour, request).result
 
     def report(
         self,
@@ -508,18 +760,33 @@ class Project:
             >>> project.report(diagnose=False).name
             'report.html'
         """
-        from zerodrift.cli.main import cli
+        request = ReportRequest(
+            self._folder,
+            out=None if out is None else Path(out),
+            datasheet=datasheet,
+            dcc=None if dcc is None else Path(dcc),
+            diagnose=diagnose,
+        )
+        return _run(report, request).files[0]
 
-        target = Path(out) if out is not None else self.directory / "report.html"
-        words = ["report", "-C", str(self.directory), "-o", str(target)]
-        words += [] if diagnose else ["--no-diagnose"]
-        words += ["--datasheet"] if datasheet else []
-        words += ["--dcc", str(dcc)] if dcc is not None else []
-        words += ["--skip-invalid"] if self._skip_invalid else []
-        words += ["--sensor", self.sensor] if self.sensor is not None else []
-        with contextlib.redirect_stdout(io.StringIO()):
-            cli.main(words, standalone_mode=False)
-        return target
+    def workbench(self, *, port: int = 0, browser: bool = True) -> None:
+        """Serve the page on this project, on 127.0.0.1, until it is interrupted.
+
+        Args:
+            port: 0 for any that is free.
+            browser: whether a browser is opened on it; its address is printed.
+
+        Raises:
+            InputError: another workbench is open on the folder.
+
+        Example:
+            >>> project.workbench()  # doctest: +SKIP
+        """
+        folder = self._folder
+        request = WorkbenchRequest(
+            folder.directory, folder.sensor, folder.skip_invalid, port, browser
+        )
+        run_workbench(request, print)
 
     def _refuse_moved(self) -> None:
         """Refuse to write where zerodrift.toml is not the one that was opened."""
@@ -529,11 +796,15 @@ class Project:
                 "expected the newest. Go on with what `add` or `remove` returned, or open it again."
             )
 
-    def _follow(self, told: AddResult | RemoveResult, revision: "Revision") -> "Project":
+    def _follow(self, told: AddResult | RemoveResult | None) -> "Project":
         """Return the project as it is after a change of its effects."""
-        follower = Project(self.directory, skip_invalid=self._skip_invalid, sensor=self.sensor)
+        skip_invalid = self._folder.skip_invalid
+        follower = Project(self.directory, skip_invalid=skip_invalid, sensor=self.sensor)
         follower._scratch = self._scratch
-        follower._folder.__dict__["dataset"] = self.dataset
+        if "dataset" in vars(self._folder):
+            vars(follower._folder)["dataset"] = self._folder.dataset
+        if told is None:
+            return follower
 
         def draw() -> "Figure":
             from zerodrift.report.figures import draw_revision
@@ -548,3 +819,18 @@ class Project:
         """Return the folder and the model's effects."""
         unit = f", sensor={self.sensor!r}" if self.sensor is not None else ""
         return f"Project({str(self.directory)!r}{unit}): {', '.join(self.effects) or 'no effects'}"
+
+
+def _run(task: Callable[[Request, Progress], Outcome], request: Request) -> Outcome:
+    """Return what a task finds; in a notebook the cell says what is being done."""
+    with show_progress(Progress) as progress:
+        return task(request, progress)
+
+
+def _draw_steps(steps: Sequence[Step]) -> HistoryResult:
+    def draw() -> "Figure":
+        from zerodrift.report.figures import draw_staircase
+
+        return draw_staircase(steps)
+
+    return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)

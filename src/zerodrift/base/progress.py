@@ -36,7 +36,7 @@ class Stage:
     text: str
 
 
-class Screen:
+class Display:
     """Where progress is shown; this one is nowhere, for a pipe."""
 
     def say(self, text: str) -> None:
@@ -70,8 +70,8 @@ class Progress:
         screen: where it is shown.
     """
 
-    def __init__(self, screen: Screen | None = None) -> None:
-        self.screen = screen or Screen()
+    def __init__(self, screen: Display | None = None) -> None:
+        self.screen = screen or Display()
 
     def __call__(self, text: str) -> None:
         """Say what is being done now."""
@@ -130,17 +130,17 @@ def is_watched() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def _find_screen() -> Screen:
+def _find_screen() -> Display:
     if os.environ.get(PROGRESS_LINES):
         return Lines()
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if shell is not None and hasattr(shell, "kernel"):
         return Cell()
-    return Terminal() if is_watched() else Screen()
+    return TerminalDisplay() if is_watched() else Display()
 
 
-class Lines(Screen):
+class Lines(Display):
     """Lines on stderr for another program."""
 
     def say(self, text: str) -> None:
@@ -148,7 +148,7 @@ class Lines(Screen):
         print(f"{PROGRESS_MARK}{text}", file=sys.stderr, flush=True)
 
 
-class Cell(Screen):
+class Cell(Display):
     """Text in the notebook's running cell."""
 
     def __init__(self) -> None:
@@ -169,7 +169,7 @@ class Cell(Screen):
         self.say("")
 
 
-class Terminal(Screen):
+class TerminalDisplay(Display):
     """A line with a spinner, or a bar, drawn by rich."""
 
     def __init__(self) -> None:

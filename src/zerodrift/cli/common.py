@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import click
 
@@ -98,10 +98,13 @@ def as_request(
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         @functools.wraps(function)
-        def pack(*arguments: object, **given: Any) -> Result:
+        def pack(*arguments: object, **given: object) -> Result:
             if "project" in names:
-                of = {name: given.pop(name) for name in ("sensor", "skip_invalid") if name in given}
-                given["project"] = ProjectFolder(given.pop("directory"), **of)
+                given["project"] = ProjectFolder(
+                    cast(Path, given.pop("directory")),
+                    cast("str | None", given.pop("sensor", None)),
+                    bool(given.pop("skip_invalid", False)),
+                )
             request = kind(**{name: given.pop(name) for name in names if name in given})
             return function(*arguments, request=request, **given)
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
-    from zerodrift.physics.effect import Effect
     from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
 LEAST_WIDTH = 120
@@ -182,16 +181,3 @@ def print_statements(firmware: "FirmwareSummary", console: "Console") -> None:
         console.print(f"warning: {statement.text}")
     for statement in firmware.refused if firmware.forced else ():
         console.print(f"FORCED: {statement.text}")
-
-
-def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
-    """Return fitted values with their units."""
-    return ", ".join(
-        f"{name} {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
-        for name, value in values.items()
-    )
-
-
-def _write_unit(unit: str) -> str:
-    """Return a unit for print; plain numbers have none."""
-    return "" if unit == "1" else unit

@@ -3,13 +3,13 @@
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from zerodrift.base.config import Config
 from zerodrift.base.files import NOT_THERE
 from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
 from zerodrift.verify.c_claims import CertificateClaims, read_claims
+from zerodrift.verify.manifest import check_manifest
 from zerodrift.verify.summary import (
     REFUSED,
     CertificateSummary,
@@ -18,9 +18,7 @@ from zerodrift.verify.summary import (
     Refusal,
     StatedUncertainty,
 )
-
-if TYPE_CHECKING:
-    from zerodrift.verify.uncertainty import Uncertainty
+from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 TIGHTEST = 8
@@ -73,8 +71,6 @@ def _read_written(
     kept = read_kept(config.build_directory / FIRMWARE)
     if kept is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
-    from zerodrift.verify.manifest import check_manifest
-
     check = check_manifest(config)
     if check.manifest is None or check.findings:
         reasons = [f.text for f in check.findings] or [n.why for n in check.not_checked]
@@ -93,10 +89,8 @@ def _read_written(
     return firmware, certificate, note
 
 
-def load_uncertainty(folder: Path, model_hash: str) -> "Uncertainty | None":
+def load_uncertainty(folder: Path, model_hash: str) -> Uncertainty | None:
     """Return the uncertainty of a model that lies in a folder; None without a sound one of it."""
-    from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
-
     kept = read_kept(folder / FILE_NAME)
     if kept is None:
         return None
@@ -107,7 +101,7 @@ def load_uncertainty(folder: Path, model_hash: str) -> "Uncertainty | None":
     return found if found.model_hash == model_hash else None
 
 
-def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | None, str]":
+def read_uncertainty(config: Config, model_hash: str) -> tuple[Uncertainty | None, str]:
     """Return the uncertainty of a model, or None and why there is none.
 
     Every command states this one.
@@ -116,8 +110,6 @@ def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | No
         config: the project.
         model_hash: of the integer model.
     """
-    from zerodrift.verify.uncertainty import FILE_NAME
-
     path = config.build_directory / FILE_NAME
     found = load_uncertainty(config.build_directory, model_hash)
     if found is not None:
@@ -153,8 +145,6 @@ def _find_unit_hash(config: Config) -> str:
     """
     if config.unit_build is None:
         return ""
-    from zerodrift.verify.manifest import check_manifest
-
     check = check_manifest(config)
     return "" if check.manifest is None or check.findings else check.manifest.model_hash
 
