@@ -14,8 +14,10 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.history import Step
 from zerodrift.field.summary import NeighbourResult
 from zerodrift.fleet.joint_summary import FleetDiagnosis
+from zerodrift.fleet.summary import FleetSummary
 from zerodrift.report.results import (
     AddResult,
+    CalibrateResult,
     CertificateResult,
     CompareResult,
     DiagnoseResult,
@@ -29,9 +31,11 @@ from zerodrift.report.results import (
     PlanResult,
     ProofResult,
     ProposeResult,
+    RecordResult,
     RemoveResult,
     TrainResult,
 )
+from zerodrift.tasks.calibrate import CalibrateRequest, calibrate
 from zerodrift.tasks.compare import CompareRequest, compare
 from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
 from zerodrift.tasks.diff import DiffRequest, diff
@@ -39,12 +43,14 @@ from zerodrift.tasks.doctor import examine
 from zerodrift.tasks.effects import EffectsRequest, list_effects
 from zerodrift.tasks.export import ExportRequest, export
 from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
+from zerodrift.tasks.fleet import FleetRequest, calibrate_fleet
 from zerodrift.tasks.init import InitRequest, begin
 from zerodrift.tasks.neighbour import NeighbourRequest, write_neighbour
 from zerodrift.tasks.package import PackageRequest, write_package
 from zerodrift.tasks.plan import PlanRequest, plan
 from zerodrift.tasks.project import ProjectFolder, is_fleet
 from zerodrift.tasks.propose import ProposeRequest, propose
+from zerodrift.tasks.recording import RecordRequest, record
 from zerodrift.tasks.report import ReportRequest, report
 from zerodrift.tasks.revise import (
     AddRequest,
@@ -585,6 +591,78 @@ class Project:
         """
         request = VerifyRequest(self._folder, elf=None if elf is None else Path(elf))
         return _run(prove, request)
+
+    def fleet(self, *, force: bool = False, out: str | Path | None = None) -> FleetSummary:
+        """Calibrate all sensors of one design: fit, train, generate, check, and judge.
+
+        Args:
+            force: write units that the gate refuses.
+            out: the firmware folder, in place of that of [firmware] out.
+
+        Raises:
+            InputError: the project is no fleet's.
+
+        Example:
+            >>> project.fleet()
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        self._refuse_moved()
+        place = None if out is None else Path(out)
+        return _run(calibrate_fleet, FleetRequest(self._folder, force=force, out=place)).result
+
+    def calibrate(
+        self,
+        *logs: str,
+        channels: Sequence[str] = (),
+        references: Sequence[str] = (),
+        squares: bool = False,
+        files: Sequence[str | Path] = (),
+    ) -> CalibrateResult:
+        """Find the matrix that turns converter codes into loads, by least squares.
+
+        Args:
+            *logs: files, folders or globs, seen from the project's folder.
+            channels: columns of codes; none: adc_1 to adc_6.
+            references: columns of reference loads; none: all that begin with ref_.
+            squares: use the squares of the codes too.
+            files: .toml, .json or .h files to be written.
+
+        Raises:
+            InputError: no log matches, or the weights leave a direction out.
+
+        Example:
+            >>> project.calibrate("nowhere.csv")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        request = CalibrateRequest(
+            self._folder,
+            logs,
+            tuple(channels),
+            tuple(references),
+            squares,
+            files=tuple(map(Path, files)),
+        )
+        return _run(calibrate, request).result
+
+    def record(self, source: str, out: str | Path, *, seconds: float | None = None) -> RecordResult:
+        """Record a log until the source ends; return what it covers.
+
+        Args:
+            source: as the command takes it, such as "serial:/dev/ttyUSB0@115200".
+            out: the log to be written.
+            seconds: after which it ends; None: with the source.
+
+        Raises:
+            InputError: there is no such source.
+
+        Example:
+            >>> project.record("nowhere:0", folder / "new.csv")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        return record(RecordRequest(self._folder, source, Path(out), seconds=seconds))
 
     def doctor(self) -> DoctorResult:
         """Return what this machine has and lacks, and the project's state.
