@@ -12,11 +12,12 @@ from zerodrift.base.progress import Progress, show_progress
 from zerodrift.base.shown import with_picture
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.history import Step
-from zerodrift.field.summary import NeighbourResult
+from zerodrift.field.summary import MonitorResult, NeighbourResult, RegistryResult
 from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.report.results import (
     AddResult,
+    BlockResult,
     CalibrateResult,
     CertificateResult,
     CompareResult,
@@ -35,6 +36,7 @@ from zerodrift.report.results import (
     RemoveResult,
     TrainResult,
 )
+from zerodrift.tasks.block import show_blocks
 from zerodrift.tasks.calibrate import CalibrateRequest, calibrate
 from zerodrift.tasks.compare import CompareRequest, compare
 from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
@@ -51,6 +53,7 @@ from zerodrift.tasks.plan import PlanRequest, plan
 from zerodrift.tasks.project import ProjectFolder, is_fleet
 from zerodrift.tasks.propose import ProposeRequest, propose
 from zerodrift.tasks.recording import RecordRequest, record
+from zerodrift.tasks.registry import RegistryPlace, list_standings
 from zerodrift.tasks.report import ReportRequest, report
 from zerodrift.tasks.revise import (
     AddRequest,
@@ -63,6 +66,7 @@ from zerodrift.tasks.revise import (
 from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.tasks.trust import remember
 from zerodrift.tasks.verify import VerifyRequest, check_folder, prove, verify
+from zerodrift.tasks.watched import MonitorRequest, monitor_unit
 from zerodrift.verify.summary import FirmwareSummary, VerifySummary
 from zerodrift.workbench.run import WorkbenchRequest, run_workbench
 
@@ -663,6 +667,70 @@ class Project:
             zerodrift.base.errors.InputError: ...
         """
         return record(RecordRequest(self._folder, source, Path(out), seconds=seconds))
+
+    def monitor(
+        self,
+        *logs: str,
+        loads: Mapping[str, float] | None = None,
+        alarms_per_unit_month: float = 0.01,
+        reset: bool = False,
+    ) -> MonitorResult:
+        """Hold the model of the last firmware against new logs of its unit.
+
+        Args:
+            *logs: as [logs] names them.
+            loads: output -> its true value in these logs.
+            alarms_per_unit_month: false alarms, all outputs together.
+            reset: forget what was seen.
+
+        Raises:
+            InputError: no firmware was built, or a log cannot be read.
+
+        Example:
+            >>> project.monitor("nowhere.csv")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        known = tuple(f"{name}={value!r}" for name, value in (loads or {}).items())
+        request = MonitorRequest(
+            self._folder,
+            logs,
+            loads=known,
+            alarms_per_unit_month=alarms_per_unit_month,
+            reset=reset,
+        )
+        return _run(monitor_unit, request)
+
+    def block(self, *files: str | Path, design: str | Path | None = None) -> BlockResult:
+        """Return what units' blocks of coefficients hold, each of them sound.
+
+        Args:
+            *files: .bin, .hex or .json.
+            design: their design.json; None: beside each, or one or two folders above.
+
+        Raises:
+            InputError: one was cut, damaged or made for another program.
+
+        Example:
+            >>> project.block(folder / "zerodrift.toml")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        return show_blocks(tuple(map(Path, files)), None if design is None else Path(design))
+
+    def registry(self) -> RegistryResult:
+        """Return the units of the registry beside zerodrift.toml.
+
+        Raises:
+            InputError: there is no registry.
+
+        Example:
+            >>> project.registry()
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        standings = list_standings(RegistryPlace(self.directory))
+        return RegistryResult(tuple(one.unit for one in standings))
 
     def doctor(self) -> DoctorResult:
         """Return what this machine has and lacks, and the project's state.
