@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import click
 
 from zerodrift.base.errors import CheckError
-from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.journal import settle_project
 from zerodrift.base.records import to_dict
 from zerodrift.base.terminal import CONTROLS
 from zerodrift.tasks.project import ProjectFolder
-from zerodrift.tasks.trust import claim
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -47,42 +46,6 @@ def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path
     if not context.resilient_parsing:
         settle_project(directory)
     return directory
-
-
-def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Lock the project against other writers for as long as the command runs.
-
-    Such a command is its author's: the project counts as this user's own (`zerodrift.tasks.trust`).
-    """
-
-    @functools.wraps(function)
-    def hold(*arguments: object, directory: Path, **options: object) -> Result:
-        with hold_project(directory):
-            claim(directory)
-            return function(*arguments, directory=directory, **options)
-
-    return hold
-
-
-def packed(
-    kind: "type[DataclassInstance]",
-) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Pass the options that are fields of a dataclass on as one object, `options`.
-
-    Args:
-        kind: the dataclass; a field has the name of its option.
-    """
-    names = [field.name for field in fields(kind)]
-
-    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        @functools.wraps(function)
-        def pack(*arguments: object, **given: object) -> Result:
-            options = kind(**{name: given.pop(name) for name in names})
-            return function(*arguments, options=options, **given)
-
-        return pack
-
-    return decorate
 
 
 def as_request(
