@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import click
 
@@ -24,6 +24,18 @@ if TYPE_CHECKING:
 
 SHOWN_S = 0.5
 """Between two pictures on the terminal."""
+
+
+class RecordOptions(TypedDict):
+    """Those that the request takes as they are."""
+
+    columns: str | None
+    dbc: Path | None
+    period: float | None
+    hold: float | None
+    seconds: float | None
+    log: int | None
+    until_enough: bool
 
 
 @click.command()
@@ -83,7 +95,7 @@ def command(
     recover_file: Path | None,
     used_file: Path | None,
     as_json: bool,
-    **options: Any,
+    **options: Unpack[RecordOptions],
 ) -> None:
     """Record a log from SOURCE, showing what it covers and what is still missing.
 
