@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from zerodrift.base.config import Config
+from zerodrift.base.progress import Stage
 from zerodrift.dataset.bridges import join_stretches
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.thermometers import list_thermometers
@@ -20,7 +21,7 @@ from zerodrift.train.lag_bank.fit import (
     fit_lag_bank,
 )
 from zerodrift.train.onnx_export import build_layers_onnx
-from zerodrift.train.scores import WORTH_ITS_FLASH, Stage, Trained, measure, score
+from zerodrift.train.scores import WORTH_ITS_FLASH, Trained, measure, score
 from zerodrift.train.split import split_runs
 from zerodrift.train.stages import fit_physics
 

@@ -18,7 +18,7 @@ from zerodrift.train.epochs import Training
 from zerodrift.train.sequences import Array32
 from zerodrift.train.standings import load_standings, mark_problems, save_standings
 
-__all__ = ["Problem", "Progress", "Result", "train_networks"]
+__all__ = ["EpochProgress", "Problem", "Result", "train_networks"]
 
 AT_ONCE = 256
 """Networks that walk through the epochs together on the CPU."""
@@ -30,7 +30,7 @@ BLOCK = 32
 
 
 @dataclass(frozen=True)
-class Progress:
+class EpochProgress:
     """The progress of a training after an epoch, for a progress bar."""
 
     done: float
@@ -63,7 +63,7 @@ def train_networks(
     device: str = "cpu",
     checkpoint: Path | None = None,
     resume: bool = True,
-    report: Callable[[Progress], None] = lambda _: None,
+    report: Callable[[EpochProgress], None] = lambda _: None,
 ) -> list[Result | InputError]:
     """Return for each problem its best start, or why its training diverged.
 
@@ -99,7 +99,7 @@ def train_networks(
             if checkpoint and judged:
                 save_standings(checkpoint, mark, _list_standings(attempts, training))
             done = sum(a.epoch if a.error is None else a.epochs for a in attempts) / total
-            report(Progress(done, train_rmse, min(a.best_rmse for a in attempts)))
+            report(EpochProgress(done, train_rmse, min(a.best_rmse for a in attempts)))
 
         training.run(follow)
     return [_choose(attempts, index) for index in range(len(problems))]

@@ -12,16 +12,17 @@ import torch
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.progress import Stage
 from zerodrift.train.conclude import choose_length, conclude, is_worth_its_flash
-from zerodrift.train.engine import Problem, Progress, Result, train_networks
+from zerodrift.train.engine import EpochProgress, Problem, Result, train_networks
 from zerodrift.train.networks import Network, build_network
-from zerodrift.train.scores import ContractingCost, Stage
+from zerodrift.train.scores import ContractingCost
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages
 from zerodrift.train.tasks import FINAL, FREE, UNFORESEEN, VALIDATION, Answer, Handling, Task
 
-Run = Callable[[Sequence[Problem], str, Callable[[Progress], None]], list[Result | InputError]]
+Run = Callable[[Sequence[Problem], str, Callable[[EpochProgress], None]], list[Result | InputError]]
 """Trains problems with a checkpoint of some name."""
 
 
@@ -30,15 +31,15 @@ def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
     starts = max((len(task.settings.starts) for task in tasks), default=1)
     share = starts / (starts + 1)
 
-    def tell_validation(p: Progress) -> None:
+    def tell_validation(p: EpochProgress) -> None:
         handling.report(Stage(share * p.done, f"held out {p.best_rmse:.3f}"))
 
-    def tell_final(p: Progress) -> None:
+    def tell_final(p: EpochProgress) -> None:
         done = share + (1.0 - share) * p.done
         handling.report(Stage(done, f"all runs, {p.train_rmse:.3f}"))
 
     def run(
-        problems: Sequence[Problem], name: str, tell: Callable[[Progress], None]
+        problems: Sequence[Problem], name: str, tell: Callable[[EpochProgress], None]
     ) -> list[Result | InputError]:
         checkpoint = handling.folder / name if handling.folder else None
         return train_networks(

@@ -13,12 +13,12 @@ import numpy as np
 from zerodrift.base.config import AUTO, Config, NetworkConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import TRAIN, require
+from zerodrift.base.progress import Stage
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.onnx_export import read_onnx_weights
 from zerodrift.train.prepare import read_settings
-from zerodrift.train.scores import Stage
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
 from zerodrift.train.tasks import LEFT_OUT, UNFORESEEN, Handling
@@ -145,13 +145,13 @@ def _train(parts: Sequence[_Retraining], handling: Handling) -> list[Compensator
     if not parts:
         return []
     from zerodrift.train.conclude import assemble
-    from zerodrift.train.engine import Progress, train_networks
+    from zerodrift.train.engine import EpochProgress, train_networks
     from zerodrift.train.network_training import pose
 
     posed = [p for p in parts if p.settings is not None]
     checkpoint = handling.folder / LEFT_OUT if handling.folder else None
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: EpochProgress) -> None:
         handling.report(Stage(progress.done, f"without a run, {progress.train_rmse:.3f}"))
 
     problems = [

@@ -68,15 +68,6 @@ class ContractingCost:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Progress of the whole training, for a bar."""
-
-    done: float
-    """Share of the work, 0 .. 1."""
-    text: str
-
-
-@dataclass(frozen=True)
 class Trained:
     """A trained compensator and what it achieves."""
 

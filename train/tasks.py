@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.config import Config
+from zerodrift.base.progress import Stage
 from zerodrift.dataset.runs import Dataset
 from zerodrift.train.prepare import Prepared
-from zerodrift.train.scores import Stage, Trained
+from zerodrift.train.scores import Trained
 from zerodrift.train.settings import Settings
 
 VALIDATION, FINAL, LEFT_OUT = "rehearsal.npz", "performance.npz", "left_out.npz"

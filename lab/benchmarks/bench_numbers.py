@@ -33,7 +33,8 @@ from zerodrift.diagnosis.diagnosis import write_probability
 from zerodrift.report.findings import Findings
 from zerodrift.report.report import render_report
 from zerodrift.report.results import AddResult, CompareResult, DiagnoseResult
-from zerodrift.tasks.survey import survey_project
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.survey import SurveyRequest, survey
 from zerodrift.workbench import outcomes, panels, verdicts
 
 QUICK = 5
@@ -116,7 +117,7 @@ def list_numbers(directory: Path) -> Iterator[ShownNumber]:
     """Yield every number that is compared, where it is shown."""
     compared = from_json(CompareResult, json.loads(ask(directory, "compare", "--json")))
     diagnosed = from_json(DiagnoseResult, json.loads(ask(directory, "diagnose", "--json")))
-    findings = survey_project(directory)
+    findings = survey(SurveyRequest(ProjectFolder(directory)))
     report = render_report(findings)
     page = [
         *panels.show_tiles(findings),

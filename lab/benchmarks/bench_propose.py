@@ -41,7 +41,7 @@ from zerodrift.export.reference import Reference
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.tasks.formula_search import search_formula
+from zerodrift.tasks.propose import search_formula
 from zerodrift.train.prepare import read_settings, stand_alone
 
 WITHIN = 0.1
@@ -315,7 +315,7 @@ def time_large() -> None:
         f" {found.tried} columns; {found.reason}"
     )
     start = time.process_time()
-    search_formula(config, large, lambda text: None)
+    search_formula(config, large, load_catalogue())
     print(f"the same with the black boxes: {time.process_time() - start:.0f} CPU s")
 
 

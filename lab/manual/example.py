@@ -10,7 +10,8 @@ from click.testing import CliRunner
 from zerodrift.cli.main import cli
 from zerodrift.report.figures import draw_candidates, draw_staircase
 from zerodrift.report.figures_runs import Window, draw_run
-from zerodrift.tasks.survey import list_contributions, survey_project
+from zerodrift.tasks.project import ProjectFolder, open_project
+from zerodrift.tasks.survey import SurveyRequest, list_contributions, survey
 
 TWIN = ("twin", "--runs", "6", "--told", "zero_tempco", "--hidden", "thermal_lag", "--seed", "3")
 SIMULATED = "Simulated: `zerodrift " + " ".join(TWIN) + "`."
@@ -21,21 +22,20 @@ OUTPUT = "Fz"
 def draw_example() -> dict[str, tuple[go.Figure, str]]:
     """Return the pictures by name, each with its caption."""
     from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.tasks.project import open_project
 
     with tempfile.TemporaryDirectory(prefix="zerodrift-manual-") as name:
         directory = Path(name) / "sensor"
         _run(*TWIN, "-C", str(directory))
-        before = survey_project(directory)
+        before = survey(SurveyRequest(ProjectFolder(directory)))
         assert before.diagnosed is not None
         diagnosis = before.diagnosed.diagnosis
         assert diagnosis.effect is not None
-        config, dataset = open_project(directory)
+        config, dataset = open_project(ProjectFolder(directory))
         (told,) = list_contributions(config, dataset, load_catalogue(), diagnosis, 1)
         effect, curves = told.effect, told.curves
         worst = next(s for s in before.comparison.worst if s.output == OUTPUT)
         _run("add", diagnosis.effect, "--json", "-C", str(directory))
-        steps = survey_project(directory, wants_diagnosis=False).steps
+        steps = survey(SurveyRequest(ProjectFolder(directory), wants_diagnosis=False)).steps
     k = before.outputs.index(OUTPUT)
     run = draw_run(
         before.find_trace(worst.run),

@@ -21,7 +21,8 @@ from zerodrift.report.plot import AxisScale, Panel, Picture
 from zerodrift.report.results import read_result
 from zerodrift.report.svg import render_svg
 from zerodrift.report.window import Window
-from zerodrift.tasks.survey import survey_project
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.survey import SurveyRequest, survey
 from zerodrift.verify.summary import FirmwareSummary
 
 TARGET = Path(__file__).parents[2] / "docs" / "assets" / "loop.svg"
@@ -41,7 +42,7 @@ def run(directory: Path, *arguments: str) -> str:
 def draw_loop(directory: Path) -> Picture:
     """Return the picture of the loop on simulated logs, which are written into a directory."""
     run(directory, "twin", *TWIN, "--seed", SEED)
-    first = survey_project(directory, wants_contribution=True)
+    first = survey(SurveyRequest(ProjectFolder(directory), wants_contribution=True))
     now, named = first, []
     for _ in range(MOST_STEPS):
         assert now.diagnosed is not None
@@ -50,7 +51,7 @@ def draw_loop(directory: Path) -> Picture:
             break
         named.append(effect)
         run(directory, "add", effect, "--json")
-        now = survey_project(directory)
+        now = survey(SurveyRequest(ProjectFolder(directory)))
     built = read_result(run(directory, "firmware", "--json"))
     assert isinstance(built, FirmwareSummary)
     worst = first.comparison.worst[0]

@@ -7,9 +7,9 @@ from tests.surroundings.conftest import REST, Command, write_project
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.cli.calibrate import find_logs
 from zerodrift.dataset.selectors import LOG_SUFFIXES, expand_selectors
 from zerodrift.fleet.sensors import guess_folder
+from zerodrift.tasks.calibrate import find_logs
 from zerodrift.workbench.uploads import list_logs
 
 

@@ -6,10 +6,8 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from zerodrift.base.progress import PROGRESS_LINES, is_watched
+from zerodrift.base.progress import PROGRESS_LINES, Stage, is_watched
 from zerodrift.cli.console import show_progress
-from zerodrift.train.progress import show_progress as show_training
-from zerodrift.train.scores import Stage
 
 
 class Handle:
@@ -37,9 +35,9 @@ def notebook(monkeypatch: pytest.MonkeyPatch) -> Handle:
 def test_a_notebook_shows_it_in_the_cell_and_takes_it_away(notebook: Handle) -> None:
     with show_progress("reading") as say:
         say("computing")
-    with show_training("training") as report:
-        report(Stage(0.25, "GRU"))
-    assert notebook.shown == ["reading", "computing", "", "training, 25 %: GRU", ""]
+        with say.measure("training") as report:
+            report(Stage(0.25, "GRU"))
+    assert notebook.shown == ["reading", "computing", "training, 25 %: GRU", ""]
 
 
 def test_a_pipe_gets_none_whatever_colour_is_forced(
@@ -49,8 +47,8 @@ def test_a_pipe_gets_none_whatever_colour_is_forced(
     assert not is_watched()
     with show_progress("reading") as say:
         say("computing")
-    with show_training("training") as report:
-        report(Stage(0.25, "GRU"))
+        with say.measure("training") as report:
+            report(Stage(0.25, "GRU"))
     told = capsys.readouterr()
     assert told.out == "" and told.err == ""
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
@@ -62,4 +60,9 @@ def test_a_program_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", told := io.StringIO())
     with show_progress("reading") as say:
         say("computing")
-    assert told.getvalue() == "progress: reading\nprogress: computing\n"
+        with say.count("sensors") as report:
+            report(1, 3, "1 kept")
+    lines = told.getvalue().splitlines()
+    assert lines == [
+        f"progress: {text}" for text in ("reading", "computing", "1 of 3 sensors 1 kept")
+    ]

@@ -6,7 +6,9 @@ import numpy as np
 
 from zerodrift.base.records import to_dict
 from zerodrift.report.report import render_report
-from zerodrift.tasks.survey import summarise_survey, survey_project
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.report import summarise_survey
+from zerodrift.tasks.survey import SurveyRequest, survey
 
 
 def edit_log(path, change):
@@ -45,7 +47,7 @@ def test_one_bad_run_is_named_where_no_effect_explains_it(make_project, zerodrif
     assert (told["verdict"], told["effect"]) == ("unknown", None)
     (note,) = [note for note in told["remarks"] if "squared error beyond the noise" in note]
     assert "in run run_3" in note
-    found = survey_project(project.directory)
+    found = survey(SurveyRequest(ProjectFolder(project.directory)))
     reported = to_dict(summarise_survey(found, (), None))["diagnose"]
     for one in (told, reported):
         one.pop("schema", None)

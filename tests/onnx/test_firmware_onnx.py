@@ -13,13 +13,14 @@ from tests.onnx.torch_networks import Form, export
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.cli.main import cli
-from zerodrift.cli.onnx_option import OnnxRequest, open_import
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.export.compose import compose_integer_model, predict_integer
 from zerodrift.export.compose_import import describe_imported, read_features
 from zerodrift.export.onnx_reader import read_imported_bytes
+from zerodrift.tasks.imported import OnnxRequest, open_import
+from zerodrift.tasks.project import ProjectFolder
 from zerodrift.verify.firmware_check import check_firmware
 from zerodrift.verify.vectors import draw_sequences
 
@@ -199,7 +200,7 @@ def test_project_is_guessed_from_the_logs(tmp_path: Path) -> None:
     write_logs(tmp_path / "logs")
     (tmp_path / "net.onnx").write_bytes(NETWORKS["keras, reset before"])
     request = OnnxRequest(tmp_path / "net.onnx", (tmp_path / "logs",), FEATURES)
-    config, dataset, described, notes = open_import(request, tmp_path, False)
+    config, dataset, described, notes = open_import(request, ProjectFolder(tmp_path))
     assert [o.name for o in config.outputs] == ["Fz", "Mx"]
     assert {"supply", "humidity"} <= set(config.inputs)
     assert len(dataset.train) == 3 and len(described.taps) == len(FEATURES)

@@ -3,8 +3,8 @@
 import pytest
 
 from tests.report.test_verdict import told
-from zerodrift.cli.diagnose import explain_verdict
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.report.sentences import explain_verdict
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,15 @@ from tests.loop.conftest import Project, write_project
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary, OutputSummary, WorstSegment
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.findings import Findings, Provenance, Trace
-from zerodrift.tasks.survey import survey_project
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.survey import SurveyRequest, survey
 
 
 @pytest.fixture(scope="session")
 def surveyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, Findings]:
     """Return a project of five runs, and its findings; neither is to be changed."""
     project = write_project(tmp_path_factory.mktemp("surveyed"))
-    return project, survey_project(project.directory)
+    return project, survey(SurveyRequest(ProjectFolder(project.directory)))
 
 
 @pytest.fixture

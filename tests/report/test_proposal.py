@@ -11,7 +11,7 @@ from zerodrift.diagnosis.formula.curve import FormulaCurve
 from zerodrift.report.proposal import MOST_OUTPUTS, ProposedFormula, draw_remainder
 from zerodrift.report.report import render_report
 from zerodrift.report.svg import render_svg
-from zerodrift.tasks.project import open_project
+from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.tasks.survey import PROPOSAL, read_proposal, trace_provenance
 
 LINE = FormulaCurve((-1.0, 0.0, 2.0), (-1.1, 0.1, 2.0))
@@ -46,7 +46,7 @@ def test_the_report_shows_what_is_left_against_the_formula(surveyed):
 
 @pytest.mark.parametrize("change", [None, "logs/run_0.csv", "zerodrift.toml"])
 def test_a_formula_of_other_logs_or_another_model_is_not_shown(project, change):
-    config, dataset = open_project(project.directory)
+    config, dataset = open_project(ProjectFolder(project.directory))
     mark = trace_provenance(config, dataset).mark
     config.build_directory.mkdir(exist_ok=True)
     sealed = render_sealed({"format": 1, "mark": mark, "proposal": to_dict(TOLD)})
@@ -56,5 +56,5 @@ def test_a_formula_of_other_logs_or_another_model_is_not_shown(project, change):
         path.write_text(path.read_text() + ("\n" if change.endswith("toml") else ""))
         if change.endswith("csv"):
             path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
-    mark = trace_provenance(*open_project(project.directory)).mark
+    mark = trace_provenance(*open_project(ProjectFolder(project.directory))).mark
     assert read_proposal(config, mark) == (TOLD if change is None else None)

@@ -28,7 +28,9 @@ from zerodrift.report.findings import (
 from zerodrift.report.parts import MOST_PARTS, list_parts
 from zerodrift.report.report import MOST_WORST, list_pictures, render_report
 from zerodrift.tasks.built import read_certificate
-from zerodrift.tasks.survey import summarise_survey, survey_project
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.report import summarise_survey
+from zerodrift.tasks.survey import SurveyRequest, survey
 
 
 class Reader(HTMLParser):
@@ -95,7 +97,9 @@ def test_report_shows_the_numbers_of_the_commands(surveyed, zerodrift):
 
 def test_report_is_the_same_bytes_each_time(surveyed):
     project, findings = surveyed
-    assert render_report(findings) == render_report(survey_project(project.directory))
+    assert render_report(findings) == render_report(
+        survey(SurveyRequest(ProjectFolder(project.directory)))
+    )
 
 
 def test_every_picture_of_the_report_has_words(surveyed):
@@ -177,7 +181,7 @@ def test_errors_have_an_uncertainty_from_how_runs_differ():
 
 
 def test_cause_is_in_the_report_with_what_the_named_effect_would_explain(surveyed):
-    findings = survey_project(surveyed[0].directory, wants_contribution=True)
+    findings = survey(SurveyRequest(ProjectFolder(surveyed[0].directory), wants_contribution=True))
     page = render_report(findings)
     assert "thermal_lag would explain" in page
     assert "lag of temperature" in page
@@ -203,12 +207,12 @@ def test_simulated_logs_are_said_to_be(project, zerodrift):
 def test_diagnosis_is_kept_until_the_logs_change(surveyed, monkeypatch):
     project, findings = surveyed
     monkeypatch.setattr("zerodrift.tasks.survey.find_verdict", None)
-    again = survey_project(project.directory)
+    again = survey(SurveyRequest(ProjectFolder(project.directory)))
     assert again.diagnosed == findings.diagnosed
 
 
 def test_diagnosis_of_other_logs_is_not_shown(project, zerodrift):
-    survey_project(project.directory)
+    survey(SurveyRequest(ProjectFolder(project.directory)))
     log = project.directory / "logs" / "run_0.csv"
     lines = log.read_text().splitlines(keepends=True)
     log.write_text("".join(lines[:-1]))
@@ -271,7 +275,7 @@ def test_firmware_of_another_model_is_not_shown(surveyed, tmp_path, zerodrift):
     build = other.directory / "build"
     build.mkdir()
     (build / "firmware.json").write_bytes(render_sealed({"model_hash": "0"}))
-    findings = survey_project(other.directory, wants_diagnosis=False)
+    findings = survey(SurveyRequest(ProjectFolder(other.directory), wants_diagnosis=False))
     assert findings.firmware is None
     assert "cannot be shown" in findings.firmware_note
 
@@ -329,6 +333,6 @@ def test_report_sets_samples_at_the_rails_aside_as_compare_does(project, zerodri
         "[network]", '[[effect]]\nkind = "adc_saturation"\n\n[network]'
     )
     project.toml.write_text(text)
-    findings = survey_project(project.directory, wants_diagnosis=False)
+    findings = survey(SurveyRequest(ProjectFolder(project.directory), wants_diagnosis=False))
     compared = json.loads(zerodrift("compare", "-C", project.directory, "--json").out)
     assert to_dict(summarise_survey(findings, (), None))["compare"] == compared

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from zerodrift.cli.diagnose import explain_verdict
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
 from zerodrift.diagnosis.explained import STEP
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.report.sentences import explain_verdict
 from zerodrift.report.tables import tabulate_candidates
 from zerodrift.report.verdict import explain_candidate, explain_standing, write_headline
 

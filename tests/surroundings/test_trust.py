@@ -88,7 +88,7 @@ def test_the_answer_on_the_terminal_is_taken(
     stranger: Path, tmp_path: Path, zerodrift: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = [False, True]
-    monkeypatch.setattr("zerodrift.tasks.trust._is_somebody_there", lambda: True)
+    monkeypatch.setattr("zerodrift.cli.console.is_somebody_there", lambda: True)
     monkeypatch.setattr("click.confirm", lambda *_, **__: answers.pop(0))
     done = zerodrift("effects", "-C", stranger)
     assert_one_message(done, 2, "not run, as you asked")

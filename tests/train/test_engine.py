@@ -11,7 +11,7 @@ from tests.train.one_at_a_time import answer, rest, train_alone
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError
 from zerodrift.train import engine
-from zerodrift.train.engine import Problem, Progress, Result, train_networks
+from zerodrift.train.engine import EpochProgress, Problem, Result, train_networks
 from zerodrift.train.networks import GruNetwork, build_network
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Settings
@@ -146,9 +146,9 @@ class Stopped(Exception):
 
 def stop_after(epochs: int):
     """Return a report that stops the training."""
-    seen: list[Progress] = []
+    seen: list[EpochProgress] = []
 
-    def report(progress: Progress) -> None:
+    def report(progress: EpochProgress) -> None:
         seen.append(progress)
         if len(seen) == epochs:
             raise Stopped
@@ -168,7 +168,7 @@ def test_interrupted_training_of_many_goes_on_to_the_same_bits(
     file = tmp_path / "checkpoint.npz"
     with pytest.raises(Stopped):
         train_networks(problems, checkpoint=file, report=stop_after(epochs))
-    told: list[Progress] = []
+    told: list[EpochProgress] = []
     resumed = train_networks(problems, checkpoint=file, report=told.append)
     assert len(told) < 11 - epochs + 2  # epochs in two parts: 5 and 6
     assert told[-1].done == 1.0
@@ -185,7 +185,7 @@ def test_checkpoint_of_other_inputs_is_not_taken_up(tmp_path):
     with pytest.raises(Stopped):
         train_networks([pose(0, (50, 31))], checkpoint=file, report=stop_after(3))
     for other in (pose(1, (50, 31)), pose(0, (50, 31), batch=5), pose(0, (50, 31), tared=True)):
-        told: list[Progress] = []
+        told: list[EpochProgress] = []
         train_networks([other], checkpoint=file, report=told.append)
         assert len(told) == SETTINGS.epochs
     told = []
@@ -210,7 +210,7 @@ def test_checkpoint_from_when_starts_were_trained_in_turn_is_taken_up(
     )
     file = tmp_path / "checkpoint.npz"
     file.write_bytes((STORED / f"checkpoint_1_{kind}_{memory}.npz").read_bytes())
-    told: list[Progress] = []
+    told: list[EpochProgress] = []
     (resumed,) = train_networks([problem], checkpoint=file, report=told.append)
     assert len(told) == 4
     (whole,) = train_networks([problem])

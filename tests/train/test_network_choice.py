@@ -10,6 +10,7 @@ from tests.gate.sensors import TESTS, TRAIN, write_sensor
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.cli.console import tabulate
 from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.physics.catalogue import load_catalogue
@@ -17,7 +18,7 @@ from zerodrift.train.compensator import Compensator
 from zerodrift.train.summary import NetworkChoice, TriedNetwork
 from zerodrift.train.training import train, train_together
 from zerodrift.verify import network_choice
-from zerodrift.verify.network_choice import LEFT_OUT, choose, tabulate, train_or_choose
+from zerodrift.verify.network_choice import LEFT_OUT, choose, train_or_choose
 
 FEW = (("none", 16), ("lag_bank", 16), ("gru", 4))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError
 from zerodrift.train.black_box.signals import Lesson, average, choose_block, measure_unit
-from zerodrift.train.engine import Problem, Progress, Result, train_networks
+from zerodrift.train.engine import EpochProgress, Problem, Result, train_networks
 from zerodrift.train.networks import Network, build_network
 from zerodrift.train.prepare import read_settings
 from zerodrift.train.refits import split_parts
@@ -62,7 +62,7 @@ def learn_network(
             for part in split_parts(lesson.runs)
         ]
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: EpochProgress) -> None:
         report(progress.done)
 
     results = iter(train_networks(problems, report=tell))

@@ -7,7 +7,7 @@ import click
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
-from zerodrift.cli.common import json_option, packed, print_json
+from zerodrift.cli.common import as_request, json_option, print_json
 from zerodrift.tasks.trust import claim
 from zerodrift_lab.commands.loop import describe_loop, run_loop
 from zerodrift_lab.commands.six_axis import (
@@ -259,50 +259,50 @@ class TwinOptions:
 )
 @json_option
 @click.pass_context
-@packed(TwinOptions)
-def command(context: click.Context, directory: Path, as_json: bool, options: TwinOptions) -> None:
+@as_request(TwinOptions)
+def command(context: click.Context, directory: Path, as_json: bool, request: TwinOptions) -> None:
     """Write simulated logs of the six-axis sensor, and a zerodrift.toml that knows only a part.
 
     The truth lies beside them in truth.json, which no command reads.
     """
     given = {name for name in context.params if _is_given(context, name)}
-    if options.list_only:
+    if request.list_only:
         click.echo(list_effects())
         click.echo("Protocols of --six-axis: " + ", ".join(list_protocols()))
         return
-    if options.example:
+    if request.example:
         refuse_foreign_options(given - {"example"})
         write_example(directory, as_json=as_json)
         return
-    if options.loop is not None:
-        if options.six_axis:
+    if request.loop is not None:
+        if request.six_axis:
             raise InputError("twin: --loop is for the plain twin; leave --six-axis out.")
         from zerodrift.cli.console import show_progress
 
         with show_progress("simulating logs") as say:
-            looped = run_loop(ask_recipe(options), options.loop, say)
+            looped = run_loop(ask_recipe(request), request.loop, say)
         if as_json:
             print_json({"simulated": True, **to_dict(looped)})
         else:
             click.echo(describe_loop(looped))
         return
-    if options.six_axis:
+    if request.six_axis:
         refuse_foreign_options(given)
-        campaign = record_campaign(ask_campaign(options, given))
-        files = render_files(campaign, options.level, list_channels(options))
-        made = write_project(files, directory, overwrite=options.force)
+        campaign = record_campaign(ask_campaign(request, given))
+        files = render_files(campaign, request.level, list_channels(request))
+        made = write_project(files, directory, overwrite=request.force)
         claim(directory)
         names = [path.relative_to(directory).as_posix() for path in made]
         if as_json:
             print_json(summarise_campaign(campaign, directory, names))
         else:
-            click.echo(describe_campaign(campaign, directory, names, options.level))
+            click.echo(describe_campaign(campaign, directory, names, request.level))
         return
     if own := given & {"protocols", "level", "specimen"}:
         option = {"protocols": "--protocol", "level": "--level", "specimen": "--sensor"}[min(own)]
         raise InputError(f"twin: {option} belongs to the six-axis twin; add --six-axis.")
-    simulation = simulate(ask_recipe(options))
-    written = write_logs(simulation, directory, overwrite=options.force)
+    simulation = simulate(ask_recipe(request))
+    written = write_logs(simulation, directory, overwrite=request.force)
     names = [path.relative_to(directory).as_posix() for path in written]
     if as_json:
         print_json(summarise_written(simulation, directory, names))

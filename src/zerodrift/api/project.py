@@ -1,30 +1,74 @@
 """The Python face: a project with the commands as methods that return typed results."""
 
-import contextlib
-import io
 import tempfile
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast, overload
 
-from zerodrift.base.config import Config, EffectConfig
+from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
-from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.journal import settle_project
+from zerodrift.base.progress import Progress, show_progress
 from zerodrift.base.shown import with_picture
-from zerodrift.cli.console import show_progress
-from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.history import Step
+from zerodrift.field.summary import MonitorResult, NeighbourResult, RegistryResult
+from zerodrift.fleet.joint_summary import FleetDiagnosis
+from zerodrift.fleet.summary import FleetSummary
 from zerodrift.report.results import (
     AddResult,
+    BlockResult,
+    CalibrateResult,
+    CertificateResult,
     CompareResult,
     DiagnoseResult,
+    DiffResult,
+    DoctorResult,
+    EffectResult,
+    EffectsResult,
+    ExportResult,
     HistoryResult,
+    PackageResult,
     PlanResult,
+    ProofResult,
+    ProposeResult,
+    RecordResult,
     RemoveResult,
     TrainResult,
 )
-from zerodrift.tasks.project import open_config
+from zerodrift.tasks.block import show_blocks
+from zerodrift.tasks.calibrate import CalibrateRequest, calibrate
+from zerodrift.tasks.compare import CompareRequest, compare
+from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
+from zerodrift.tasks.diff import DiffRequest, diff
+from zerodrift.tasks.doctor import examine
+from zerodrift.tasks.effects import EffectsRequest, list_effects
+from zerodrift.tasks.export import ExportRequest, export
+from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
+from zerodrift.tasks.fleet import FleetRequest, calibrate_fleet
+from zerodrift.tasks.init import InitRequest, begin
+from zerodrift.tasks.neighbour import NeighbourRequest, write_neighbour
+from zerodrift.tasks.package import PackageRequest, write_package
+from zerodrift.tasks.plan import PlanRequest, plan
+from zerodrift.tasks.project import ProjectFolder, is_fleet
+from zerodrift.tasks.propose import ProposeRequest, propose
+from zerodrift.tasks.recording import RecordRequest, record
+from zerodrift.tasks.registry import RegistryPlace, list_standings
+from zerodrift.tasks.report import ReportRequest, report
+from zerodrift.tasks.revise import (
+    AddRequest,
+    HistoryRequest,
+    RemoveRequest,
+    add,
+    remove,
+    show_history,
+)
+from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.tasks.trust import remember
+from zerodrift.tasks.verify import VerifyRequest, check_folder, prove, verify
+from zerodrift.tasks.watched import MonitorRequest, monitor_unit
+from zerodrift.verify.summary import FirmwareSummary, VerifySummary
+from zerodrift.workbench.run import WorkbenchRequest, run_workbench
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -33,10 +77,9 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from zerodrift.api.frames import BeginningOptions, FrameOptions, Output, PandasFrame
-    from zerodrift.dataset.runs import Dataset
-    from zerodrift.diagnosis.revision import Revision
-    from zerodrift.verify.summary import FirmwareSummary
 
+Request = TypeVar("Request")
+Outcome = TypeVar("Outcome")
 Pandas = TypeVar("Pandas", bound="PandasFrame")
 
 
@@ -68,13 +111,12 @@ class Project:
         self, directory: str | Path, *, skip_invalid: bool = False, sensor: str | None = None
     ) -> None:
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
-        self._skip_invalid = skip_invalid
-        self.sensor = sensor
         settle_project(Path(directory))
-        self.config: Config = open_config(Path(directory), sensor)
+        self._folder = ProjectFolder(Path(directory), sensor, skip_invalid)
+        self.config: Config = self._folder.config
         self._text = self.config.path.read_bytes()
         remember(self.config.plugin_files)
-        self._catalogue: Catalogue = load_catalogue(self.config.plugin_files)
+        _ = self._folder.catalogue  # a wrong file of effects is told now
 
     @classmethod
     def from_frames(
@@ -130,6 +172,43 @@ class Project:
         project._scratch = scratch
         return project
 
+    @classmethod
+    def init(
+        cls,
+        *logs: str | Path,
+        directory: str | Path = ".",
+        force: bool = False,
+        period_s: float | None = None,
+    ) -> "Project":
+        """Write a zerodrift.toml guessed from logs, and return the project.
+
+        Args:
+            *logs: files or folders, seen from the current directory or from `directory`.
+            directory: where the project begins.
+            force: overwrite an existing zerodrift.toml.
+            period_s: interval between rows, for logs without times.
+
+        Raises:
+            InputError: there is a zerodrift.toml already, or the logs cannot be read.
+
+        Example:
+            >>> begun = zd.Project.init("logs", directory=folder, force=True)
+            >>> begun.config.outputs[0].measured
+            'fz_N'
+        """
+        begin(InitRequest(Path(directory), tuple(map(Path, logs)), force, period_s))
+        return cls(directory)
+
+    @property
+    def sensor(self) -> str | None:
+        """The unit of a fleet that this is; None for a sensor of its own.
+
+        Example:
+            >>> project.sensor is None
+            True
+        """
+        return self._folder.sensor
+
     @property
     def directory(self) -> Path:
         """The folder of zerodrift.toml.
@@ -150,8 +229,8 @@ class Project:
         """
         return tuple(effect.kind for effect in self.config.effects)
 
-    @cached_property
-    def dataset(self) -> "Dataset":
+    @property
+    def dataset(self) -> Dataset:
         """The runs: time [n] s, temperature [n] degC, drift [n, K] in the outputs' units.
 
         Raises:
@@ -162,10 +241,8 @@ class Project:
             >>> run.drift.shape, run.temperature_degC.shape
             ((500, 1), (500,))
         """
-        from zerodrift.dataset.load import load_dataset
-
-        with show_progress("reading logs"):
-            return load_dataset(self.config, self._skip_invalid)
+        with show_progress(Progress, "reading logs"):
+            return self._folder.dataset
 
     def compare(self, model: str | None = None) -> CompareResult:
         """Return the comparison of model and measurements; `.plot(output)` draws one output.
@@ -182,12 +259,7 @@ class Project:
             >>> error.unit, error.noise_floor < error.rmse_heldout < error.rmse_uncompensated
             ('N', True)
         """
-        from zerodrift.tasks.predictors import compare_project
-
-        with show_progress("comparing") as say:
-            compared = compare_project(
-                self.config, self.dataset, self._catalogue, kind=model, say=say
-            )
+        compared = _run(compare, CompareRequest(self._folder, model))
         comparison = compared.comparison
 
         def draw(output: str | None = None) -> "Figure":
@@ -202,6 +274,8 @@ class Project:
     def diagnose(self, *, auto: bool = False) -> DiagnoseResult:
         """Return which effect the model lacks; `.plot()` draws the candidates.
 
+        Of a fleet it is asked of one unit, `sensor=`; `diagnose_fleet` speaks of the design.
+
         Args:
             auto: add what is missing, without writing it, and diagnose again until nothing is.
 
@@ -210,24 +284,88 @@ class Project:
             >>> verdict.verdict, verdict.effect
             ('missing', 'thermal_lag')
         """
-        from zerodrift.diagnosis.advice import advise
-        from zerodrift.tasks.verdict import find_verdict, list_commands, summarise_verdict
-
-        with show_progress("diagnosing") as say:
-            verdict = find_verdict(self.config, self.dataset, self._catalogue, auto=auto, say=say)
-            course = verdict.course
-            effects = self.config.effects if course is None else course.effects
-            advice = advise(self.config, self.dataset, effects)
-        commands = list_commands(self.config.effects, verdict.steps, self._catalogue)
-        told = advice.summarise() if advice is not None else None
-        found = summarise_verdict(verdict, commands, told, self.directory)
+        diagnosed = _run(diagnose, DiagnoseRequest(self._folder, auto))
+        if isinstance(diagnosed, FleetDiagnosis):
+            raise InputError(
+                f"{self.config.path}: is a fleet's; expected one unit, `Project(folder,"
+                " sensor=NAME)`. `diagnose_fleet` says what all units lack."
+            )
 
         def draw() -> "Figure":
             from zerodrift.report.figures import draw_candidates
 
-            return draw_candidates(verdict.diagnosis)
+            return draw_candidates(diagnosed.verdict.diagnosis)
 
-        return with_picture(found, draw)
+        return with_picture(diagnosed.summarise(self.directory), draw)
+
+    def diagnose_fleet(self) -> FleetDiagnosis:
+        """Return what the design of a fleet lacks, by all of its units together.
+
+        Raises:
+            InputError: the project is no fleet's.
+
+        Example:
+            >>> project.diagnose_fleet()
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        if self.sensor is not None or not is_fleet(self.config):
+            raise InputError(
+                f"{self.config.path}: is one sensor's; expected a fleet, whose [fleet] or [logs]"
+                " name the folders of its units. `diagnose` says what this one lacks."
+            )
+        found = _run(diagnose, DiagnoseRequest(self._folder))
+        assert isinstance(found, FleetDiagnosis)
+        return found
+
+    def catalogue(self) -> EffectsResult:
+        """Return the catalogue of effects, the project's own with them.
+
+        Example:
+            >>> kinds = [effect.kind for effect in project.catalogue().effects]
+            >>> "thermal_lag" in kinds, "creep" in kinds
+            (True, True)
+        """
+        found = _run(list_effects, EffectsRequest(self._folder)).result
+        assert isinstance(found, EffectsResult)
+        return found
+
+    def effect(self, name: str) -> EffectResult:
+        """Return everything declared about an effect.
+
+        Args:
+            name: of the effect.
+
+        Raises:
+            InputError: there is none of that name.
+
+        Example:
+            >>> {p.name: p.unit for p in project.effect("thermal_lag").parameters}["tau_s"]
+            's'
+        """
+        found = _run(list_effects, EffectsRequest(self._folder, name)).result
+        assert isinstance(found, EffectResult)
+        return found
+
+    def propose(self, file: str | Path | None = None, *, black_box: bool = True) -> ProposeResult:
+        """Return a formula for what no effect of the catalogue explains, or that there is none.
+
+        Args:
+            file: where it is written as a file of effects, which `add` takes.
+            black_box: whether a lag bank and a GRU are tried on the same runs.
+
+        Raises:
+            InputError: the file is there and holds something else.
+
+        Example:
+            >>> found = project.propose(black_box=False)
+            >>> found.found, found.written is None
+            (True, True)
+        """
+        request = ProposeRequest(self._folder, None if file is None else Path(file), black_box)
+        found = _run(propose, request)
+        request.require_written(found)
+        return found
 
     def plan(
         self,
@@ -256,15 +394,8 @@ class Project:
             >>> planned.hours <= 4.0 and len(planned.programme) > 0
             True
         """
-        from zerodrift.discovery.plan import HOURS, Question
-        from zerodrift.tasks.plan import find_plan, has_logs, read_within
-
-        config = self.config if within is None else read_within(self.config, within)
-        dataset = self.dataset if has_logs(config) else None
-        wanted = hours if hours is not None else config.experiment.hours or HOURS
-        question = Question(wanted, tuple(between), target, budget_s)
-        with show_progress("planning") as say:
-            found = find_plan(config, dataset, self._catalogue, question, say)[1]
+        request = PlanRequest(self._folder, hours, tuple(between), target, budget_s, within=within)
+        found = _run(plan, request).result
 
         def draw() -> "Figure":
             from zerodrift.report.figures_plan import draw_plan
@@ -302,25 +433,21 @@ class Project:
             >>> better.revision.helps
             True
         """
-        from zerodrift.diagnosis.revision import summarise_revision
-        from zerodrift.tasks.effect_file import open_effect
-        from zerodrift.tasks.revise import add_to_project
-
         if effect is None:
             raise InputError(
                 "add: no effect was named; expected the name of one. The verdict names none where "
                 "nothing is missing, or nothing that the catalogue knows."
             )
         self._refuse_moved()
-        config, catalogue, kind = open_effect(self.config, effect)
-        wanted = EffectConfig(kind, dict(hold or {}), {"signal": signal} if signal else {})
-        with hold_project(self.directory), show_progress(f"fitting without and with {kind}"):
-            revision, is_kept = add_to_project(config, self.dataset, catalogue, wanted, force=force)
-        if not is_kept:
+        options = {"signal": signal} if signal else {}
+        found = _run(add, AddRequest(self._folder, effect, dict(hold or {}), options, force))
+        if not found.result.added:
             raise CheckError(
-                f"{effect} was not added: {revision.reason}. `force=True` adds it all the same."
+                f"{effect} was not added: {found.revision.reason}. `force=True` adds it all the"
+                " same.",
+                found.result,
             )
-        return self._follow(AddResult(**vars(summarise_revision(revision)), added=True), revision)
+        return self._follow(found.result)
 
     def remove(self, effect: str, *, signal: str = "") -> "Project":
         """Remove an effect from zerodrift.toml, refit, and return the new project.
@@ -337,15 +464,8 @@ class Project:
             >>> plain.effects
             ('zero_tempco',)
         """
-        from zerodrift.diagnosis.revision import summarise_revision
-        from zerodrift.tasks.revise import remove_from_project
-
         self._refuse_moved()
-        with hold_project(self.directory), show_progress(f"fitting with and without {effect}"):
-            revision = remove_from_project(
-                self.config, self.dataset, self._catalogue, effect, signal
-            )
-        return self._follow(RemoveResult(**vars(summarise_revision(revision))), revision)
+        return self._follow(_run(remove, RemoveRequest(self._folder, effect, signal)).result)
 
     revision: AddResult | RemoveResult | None = None
     """The change that made this project, with its errors; None for a project that was opened."""
@@ -357,17 +477,25 @@ class Project:
             >>> [step.step for step in project.add("thermal_lag").history().steps]
             ['start', '+ thermal_lag']
         """
-        from zerodrift.diagnosis.history import list_steps
-        from zerodrift.tasks.revise import open_history
+        steps = show_history(HistoryRequest(self._folder)).steps
+        return _draw_steps(steps)
 
-        steps = list_steps(open_history(self.config)[1])
+    def restore(self, step: int) -> "Project":
+        """Write the effects of a step of the history back, and return the new project.
 
-        def draw() -> "Figure":
-            from zerodrift.report.figures import draw_staircase
+        Args:
+            step: its number, from 0, as `history` lists them.
 
-            return draw_staircase(steps)
+        Raises:
+            InputError: there is no such step, or zerodrift.toml has changed since.
 
-        return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
+        Example:
+            >>> project.add("thermal_lag").restore(0).effects
+            ('zero_tempco',)
+        """
+        self._refuse_moved()
+        show_history(HistoryRequest(self._folder, restore=step))
+        return self._follow(None)
 
     def train(self, *, force: bool = False) -> TrainResult:
         """Fit the effects, then train the network on the rest; checkpoints go to build/.
@@ -383,34 +511,26 @@ class Project:
             >>> list(trained.outputs)
             ['Fz']
         """
-        from zerodrift.diagnosis.advice import advise
-        from zerodrift.tasks.project import refuse_wrong_data
-        from zerodrift.train.progress import show_progress as show_training
-        from zerodrift.train.summary import summarise_training
-        from zerodrift.train.training import list_checkpoints
-        from zerodrift.verify.network_choice import train_or_choose
-
         self._refuse_moved()
-        refuse_wrong_data(self.config, self.dataset, force=force)
-        with hold_project(self.directory), show_training("training") as report:
-            chosen = train_or_choose(self.config, self.dataset, report=report)
-            trained = chosen.trained
-            trained.compensator.save(
-                self.directory,
-                self.config.build_directory,
-                done_with=list_checkpoints(self.config),
-            )
-        advice = advise(self.config, self.dataset)
-        told = summarise_training(trained.compensator, trained.scores)
-        advised = None if advice is None else advice.summarise()
-        return TrainResult(
-            **vars(told),
-            advice=advised,
-            choice=chosen.choice,
-            contracting=trained.contracting,
-        )
+        return _run(train, TrainRequest(self._folder, force=force)).result
 
-    def firmware(self, *, force: bool = False, uncertainty: bool = True) -> "FirmwareSummary":
+    def export(self, *, force: bool = False) -> ExportResult:
+        """Write float ONNX, integer model, integer ONNX, golden vectors and certificate to build/.
+
+        Args:
+            force: train on logs in which wrong data are found.
+
+        Raises:
+            CheckError: wrong data are found in the logs, or a bound does not hold.
+
+        Example:
+            >>> built.export().bounds_proven > 0
+            True
+        """
+        self._refuse_moved()
+        return _run(export, ExportRequest(self._folder, force))
+
+    def firmware(self, *, force: bool = False, uncertainty: bool = True) -> FirmwareSummary:
         """Train if needed, quantize, generate C, check it bit for bit, and write it.
 
         Args:
@@ -426,30 +546,200 @@ class Project:
             >>> firmware.bit_exact, "host" in firmware.backends
             (True, True)
         """
-        from rich.console import Console
-
-        from zerodrift.cli.firmware import make_firmware
-        from zerodrift.export.compose import describe_compensator
-        from zerodrift.tasks.project import (
-            refuse_shared_program,
-            refuse_wrong_data,
-            train_project,
-        )
-        from zerodrift.tasks.runs_left_out import leave_runs_out
-
         self._refuse_moved()
-        refuse_shared_program(self.directory, self.sensor)
-        against = refuse_wrong_data(self.config, self.dataset, force=force, keep=True)
-        with hold_project(self.directory):
-            compensator = train_project(self.config, self.dataset, Console(file=io.StringIO()))
-            described = describe_compensator(compensator, self.config, self.dataset.train)
-            left = leave_runs_out(self.config, self.dataset, compensator, wanted=uncertainty)
-            firmware, told = make_firmware(
-                self.config, self.dataset, described, left, force=force, against=against
-            )
-        if not firmware.files:
-            raise CheckError(f"{firmware.gate.explain()}\nNothing was written.")
-        return told
+        made = _run(make_firmware, FirmwareRequest(self._folder, force, uncertainty))
+        if made.refusal:
+            raise CheckError(f"{made.refusal}\nNothing was written.", made.result)
+        return made.result
+
+    def verify(self, *, required: Sequence[str] = ()) -> VerifySummary:
+        """Build and run what lies in the firmware folder, and hold it against the model.
+
+        Args:
+            required: what must have been checked, such as a core.
+
+        Raises:
+            InputError: there is no firmware, or C that zerodrift did not write.
+
+        Example:
+            >>> found = built.verify()
+            >>> found.bit_exact, found.failures
+            (True, ())
+        """
+        return _run(verify, VerifyRequest(self._folder, tuple(required))).summarise()
+
+    def check_certificate(self) -> CertificateResult:
+        """Derive every bound of the firmware's certificate again, from the C alone.
+
+        Raises:
+            InputError: there is no certificate.
+
+        Example:
+            >>> built.check_certificate().certificate
+            'holds'
+        """
+        return _run(check_folder, VerifyRequest(self._folder))
+
+    def prove(self, elf: str | Path | None = None) -> ProofResult:
+        """Return what is proven of the firmware's C, part by part.
+
+        Args:
+            elf: a program whose kernels in assembly are proven with the folder's.
+
+        Raises:
+            InputError: there is no firmware, or its coefficients lie in a block.
+
+        Example:
+            >>> built.prove().proven
+            True
+        """
+        request = VerifyRequest(self._folder, elf=None if elf is None else Path(elf))
+        return _run(prove, request)
+
+    def fleet(self, *, force: bool = False, out: str | Path | None = None) -> FleetSummary:
+        """Calibrate all sensors of one design: fit, train, generate, check, and judge.
+
+        Args:
+            force: write units that the gate refuses.
+            out: the firmware folder, in place of that of [firmware] out.
+
+        Raises:
+            InputError: the project is no fleet's.
+
+        Example:
+            >>> project.fleet()
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        self._refuse_moved()
+        place = None if out is None else Path(out)
+        return _run(calibrate_fleet, FleetRequest(self._folder, force=force, out=place)).result
+
+    def calibrate(
+        self,
+        *logs: str,
+        channels: Sequence[str] = (),
+        references: Sequence[str] = (),
+        squares: bool = False,
+        files: Sequence[str | Path] = (),
+    ) -> CalibrateResult:
+        """Find the matrix that turns converter codes into loads, by least squares.
+
+        Args:
+            *logs: files, folders or globs, seen from the project's folder.
+            channels: columns of codes; none: adc_1 to adc_6.
+            references: columns of reference loads; none: all that begin with ref_.
+            squares: use the squares of the codes too.
+            files: .toml, .json or .h files to be written.
+
+        Raises:
+            InputError: no log matches, or the weights leave a direction out.
+
+        Example:
+            >>> project.calibrate("nowhere.csv")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        request = CalibrateRequest(
+            self._folder,
+            logs,
+            tuple(channels),
+            tuple(references),
+            squares,
+            files=tuple(map(Path, files)),
+        )
+        return _run(calibrate, request).result
+
+    def record(self, source: str, out: str | Path, *, seconds: float | None = None) -> RecordResult:
+        """Record a log until the source ends; return what it covers.
+
+        Args:
+            source: as the command takes it, such as "serial:/dev/ttyUSB0@115200".
+            out: the log to be written.
+            seconds: after which it ends; None: with the source.
+
+        Raises:
+            InputError: there is no such source.
+
+        Example:
+            >>> project.record("nowhere:0", folder / "new.csv")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        return record(RecordRequest(self._folder, source, Path(out), seconds=seconds))
+
+    def monitor(
+        self,
+        *logs: str,
+        loads: Mapping[str, float] | None = None,
+        alarms_per_unit_month: float = 0.01,
+        reset: bool = False,
+    ) -> MonitorResult:
+        """Hold the model of the last firmware against new logs of its unit.
+
+        Args:
+            *logs: as [logs] names them.
+            loads: output -> its true value in these logs.
+            alarms_per_unit_month: false alarms, all outputs together.
+            reset: forget what was seen.
+
+        Raises:
+            InputError: no firmware was built, or a log cannot be read.
+
+        Example:
+            >>> project.monitor("nowhere.csv")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        known = tuple(f"{name}={value!r}" for name, value in (loads or {}).items())
+        request = MonitorRequest(
+            self._folder,
+            logs,
+            loads=known,
+            alarms_per_unit_month=alarms_per_unit_month,
+            reset=reset,
+        )
+        return _run(monitor_unit, request)
+
+    def block(self, *files: str | Path, design: str | Path | None = None) -> BlockResult:
+        """Return what units' blocks of coefficients hold, each of them sound.
+
+        Args:
+            *files: .bin, .hex or .json.
+            design: their design.json; None: beside each, or one or two folders above.
+
+        Raises:
+            InputError: one was cut, damaged or made for another program.
+
+        Example:
+            >>> project.block(folder / "zerodrift.toml")
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        return show_blocks(tuple(map(Path, files)), None if design is None else Path(design))
+
+    def registry(self) -> RegistryResult:
+        """Return the units of the registry beside zerodrift.toml.
+
+        Raises:
+            InputError: there is no registry.
+
+        Example:
+            >>> project.registry()
+            Traceback (most recent call last):
+            zerodrift.base.errors.InputError: ...
+        """
+        standings = list_standings(RegistryPlace(self.directory))
+        return RegistryResult(tuple(one.unit for one in standings))
+
+    def doctor(self) -> DoctorResult:
+        """Return what this machine has and lacks, and the project's state.
+
+        Example:
+            >>> {item.group for item in project.doctor().items} >= {"packages"}
+            True
+        """
+        return examine(self.directory)
 
     @overload
     def apply(
@@ -499,14 +789,14 @@ class Project:
             else:
                 to_polars("frame", frame).write_parquet(log)
             try:
-                with show_progress("applying") as say:
+                with show_progress(Progress, "applying") as say:
                     apply_model(
                         self.config,
                         opened.model,
                         [(log, out)],
                         uncertainty=opened.uncertainty,
                         predict_float=opened.predict_float,
-                        skip_invalid=self._skip_invalid,
+                        skip_invalid=self._folder.skip_invalid,
                         say=say,
                     )
             except InputError as error:
@@ -519,6 +809,82 @@ class Project:
         added = [name for name in applied.columns if name not in frame.columns]
         added = [name for name in added if name not in frame.index.names]
         return frame.assign(**{name: applied[name].to_numpy() for name in added})
+
+    def diff(
+        self,
+        old: "str | Path | Project",
+        *logs: str | Path,
+        limit_pct_fs: float | None = None,
+    ) -> DiffResult:
+        """Return what changed from another model to this one, and by how much the drifts differ.
+
+        Args:
+            old: a project, a firmware folder or a model.json.
+            *logs: over which they are compared; none: the calibrated range that both have.
+            limit_pct_fs: share of full scale, in percent, that no drift may differ by.
+
+        Raises:
+            InputError: a model or a log cannot be read, or outputs or inputs are not the same.
+
+        Example:
+            >>> built.diff(built).same
+            True
+        """
+        place = old.directory if isinstance(old, Project) else Path(old)
+        request = DiffRequest(
+            place,
+            self.directory,
+            tuple(map(Path, logs)),
+            limit_pct_fs=limit_pct_fs,
+            skip_invalid=self._folder.skip_invalid,
+        )
+        return _run(diff, request)
+
+    def package(self, kind: str) -> PackageResult:
+        """Write the C of the last firmware as a package; return what it holds.
+
+        Args:
+            kind: cmake | zephyr | arduino | platformio | esp-idf | pico | python | ros2.
+
+        Raises:
+            InputError: no firmware was built.
+            CheckError: a file of it was changed, or it is stale.
+
+        Example:
+            >>> built.package("cmake").package
+            'cmake'
+        """
+        self._refuse_moved()
+        return _run(write_package, PackageRequest(self._folder, kind)).result
+
+    def neighbour(
+        self,
+        kind: str,
+        out: str | Path,
+        *,
+        outputs: Sequence[str] = (),
+        device: int | None = None,
+        order: int | None = None,
+    ) -> NeighbourResult:
+        """Write the model of the last firmware as another program takes it; return what is lost.
+
+        Args:
+            kind: px4 | ardupilot | chrony | polynomial.
+            out: the file to be written.
+            outputs: in the order of the program's axes; none: all.
+            device: number of the sensor in that program; None: its first.
+            order: of `polynomial`.
+
+        Raises:
+            InputError: no firmware was built, or the program does not take an output or its unit.
+
+        Example:
+            >>> told = built.neighbour("polynomial", folder / "fz.csv", order=2)
+            >>> (folder / "fz.csv").exists()
+            True
+        """
+        request = NeighbourRequest(self._folder, kind, (), tuple(outputs), device, order, Path(out))
+        return _run(write_neighbour, request).result
 
     def report(
         self,
@@ -540,18 +906,33 @@ class Project:
             >>> project.report(diagnose=False).name
             'report.html'
         """
-        from zerodrift.cli.main import cli
+        request = ReportRequest(
+            self._folder,
+            out=None if out is None else Path(out),
+            datasheet=datasheet,
+            dcc=None if dcc is None else Path(dcc),
+            diagnose=diagnose,
+        )
+        return _run(report, request).files[0]
 
-        target = Path(out) if out is not None else self.directory / "report.html"
-        words = ["report", "-C", str(self.directory), "-o", str(target)]
-        words += [] if diagnose else ["--no-diagnose"]
-        words += ["--datasheet"] if datasheet else []
-        words += ["--dcc", str(dcc)] if dcc is not None else []
-        words += ["--skip-invalid"] if self._skip_invalid else []
-        words += ["--sensor", self.sensor] if self.sensor is not None else []
-        with contextlib.redirect_stdout(io.StringIO()):
-            cli.main(words, standalone_mode=False)
-        return target
+    def workbench(self, *, port: int = 0, browser: bool = True) -> None:
+        """Serve the page on this project, on 127.0.0.1, until it is interrupted.
+
+        Args:
+            port: 0 for any that is free.
+            browser: whether a browser is opened on it; its address is printed.
+
+        Raises:
+            InputError: another workbench is open on the folder.
+
+        Example:
+            >>> project.workbench()  # doctest: +SKIP
+        """
+        folder = self._folder
+        request = WorkbenchRequest(
+            folder.directory, folder.sensor, folder.skip_invalid, port, browser
+        )
+        run_workbench(request, print)
 
     def _refuse_moved(self) -> None:
         """Refuse to write where zerodrift.toml is not the one that was opened."""
@@ -561,11 +942,15 @@ class Project:
                 "expected the newest. Go on with what `add` or `remove` returned, or open it again."
             )
 
-    def _follow(self, told: AddResult | RemoveResult, revision: "Revision") -> "Project":
+    def _follow(self, told: AddResult | RemoveResult | None) -> "Project":
         """Return the project as it is after a change of its effects."""
-        follower = Project(self.directory, skip_invalid=self._skip_invalid, sensor=self.sensor)
+        skip_invalid = self._folder.skip_invalid
+        follower = Project(self.directory, skip_invalid=skip_invalid, sensor=self.sensor)
         follower._scratch = self._scratch
-        follower.__dict__["dataset"] = self.dataset
+        if "dataset" in vars(self._folder):
+            vars(follower._folder)["dataset"] = self._folder.dataset
+        if told is None:
+            return follower
 
         def draw() -> "Figure":
             from zerodrift.report.figures import draw_revision
@@ -580,3 +965,18 @@ class Project:
         """Return the folder and the model's effects."""
         unit = f", sensor={self.sensor!r}" if self.sensor is not None else ""
         return f"Project({str(self.directory)!r}{unit}): {', '.join(self.effects) or 'no effects'}"
+
+
+def _run(task: Callable[[Request, Progress], Outcome], request: Request) -> Outcome:
+    """Return what a task finds; in a notebook the cell says what is being done."""
+    with show_progress(Progress) as progress:
+        return task(request, progress)
+
+
+def _draw_steps(steps: Sequence[Step]) -> HistoryResult:
+    def draw() -> "Figure":
+        from zerodrift.report.figures import draw_staircase
+
+        return draw_staircase(steps)
+
+    return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)

@@ -26,9 +26,18 @@ class NoRuleError(ZerodriftError):
 
 
 class CheckError(ZerodriftError):
-    """A check ran and failed: bits differ, a certificate was refused."""
+    """A check ran and failed: bits differ, a certificate was refused.
+
+    Args:
+        text: what failed, and what to do.
+        result: the record that `--json` prints of it all the same, where there is one.
+    """
 
     exit_code = 1
+
+    def __init__(self, text: str, result: object = None) -> None:
+        super().__init__(text)
+        self.result = result
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -225,6 +225,11 @@ def explain_refusal(error: OSError) -> str | None:
     )
 
 
+def show_path(path: Path, directory: Path) -> str:
+    """Return a path relative to the project where it lies inside it."""
+    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
+
+
 def is_vanished() -> bool:
     """Tell whether the current directory is gone, so that no relative name stands for a file."""
     try:

@@ -1,7 +1,6 @@
 """`zerodrift apply`: the finished model over any log, as the chip would."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -20,11 +19,9 @@ from zerodrift.cli.console import (
     print_uncertainty,
     show_progress,
 )
-
-if TYPE_CHECKING:
-    from zerodrift.report.results import ApplyResult
-
-KINDS = INTEGER, FLOAT = ("integer", "float")
+from zerodrift.report.results import ApplyResult
+from zerodrift.tasks.applied_model import INTEGER, KINDS, ApplyRequest, apply_to_logs
+from zerodrift.tasks.project import ProjectFolder
 
 
 @click.command()
@@ -74,40 +71,17 @@ def command(
     (expanded, k = 2), in its unit; `flags` are the chip's. A log needs no reference. Rows without a
     reading are given to the chip as such.
     """
-    from zerodrift.report.results import ApplyResult
-    from zerodrift.tasks.applied_model import choose_file, open_applied, refuse_taken
-    from zerodrift.tasks.apply import apply_model
-    from zerodrift.tasks.project import open_config, open_project
-
-    config = open_config(directory, sensor)
-    pairs = [(log, choose_file(log, out, len(logs) > 1)) for log in logs]
-    refuse_taken(pairs)
-    opened = open_applied(
-        config,
-        kind,
-        load_logs=lambda: open_project(directory, sensor=sensor)[1],
-        block=block,
-    )
-    with show_progress("applying") as say:
-        applied = apply_model(
-            config,
-            opened.model,
-            pairs,
-            uncertainty=opened.uncertainty,
-            predict_float=opened.predict_float,
-            skip_invalid=skip_invalid,
-            say=say,
-        )
-    stated = opened.uncertainty.state() if opened.uncertainty is not None else None
-    told = ApplyResult(kind, opened.model.hash, tuple(applied), opened.notes, stated)
+    request = ApplyRequest(ProjectFolder(directory, sensor, skip_invalid), logs, out, kind, block)
+    with show_progress() as progress:
+        told = apply_to_logs(request, progress)
     if as_json:
         print_result(told)
         return
-    print_notes((*told.notes, *(note for log in applied for note in log.notes)))
+    print_notes((*told.notes, *(note for log in told.logs for note in log.notes)))
     _print(told)
 
 
-def _print(told: "ApplyResult") -> None:
+def _print(told: ApplyResult) -> None:
     console = open_console()
     for log in told.logs:
         table = open_table(

@@ -4,21 +4,23 @@ import functools
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import click
 
-from zerodrift.base.journal import hold_project, settle_project
+from zerodrift.base.errors import CheckError
+from zerodrift.base.journal import settle_project
 from zerodrift.base.records import to_dict
 from zerodrift.base.terminal import CONTROLS
-from zerodrift.tasks.trust import TRUST, claim, require_place
+from zerodrift.tasks.project import ProjectFolder
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from zerodrift.base.config import Config
+TRUST = "zerodrift.trust"
+"""In a click context: `--trust` was given."""
 
 Command = TypeVar("Command", bound=Callable[..., object])
 Result = TypeVar("Result")
@@ -46,47 +48,49 @@ def _settle(context: click.Context, _: click.Parameter, directory: Path) -> Path
     return directory
 
 
-def changes_project(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Lock the project against other writers for as long as the command runs.
-
-    Such a command is its author's: the project counts as this user's own (`zerodrift.tasks.trust`).
-    """
-
-    @functools.wraps(function)
-    def hold(*arguments: object, directory: Path, **options: object) -> Result:
-        with hold_project(directory):
-            claim(directory)
-            return function(*arguments, directory=directory, **options)
-
-    return hold
-
-
-def packed(
+def as_request(
     kind: "type[DataclassInstance]",
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Pass the options that are fields of a dataclass on as one object, `options`.
+    """Pass the options that are fields of a task's request on as that request, `request`.
 
     Args:
-        kind: the dataclass; a field has the name of its option.
+        kind: of the request; a field has the name of its option, and `project` is what
+            `--sensor` and `--skip-invalid` say of the directory.
     """
     names = [field.name for field in fields(kind)]
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         @functools.wraps(function)
         def pack(*arguments: object, **given: object) -> Result:
-            options = kind(**{name: given.pop(name) for name in names})
-            return function(*arguments, options=options, **given)
+            if "project" in names:
+                given["project"] = ProjectFolder(
+                    cast(Path, given.pop("directory")),
+                    cast("str | None", given.pop("sensor", None)),
+                    bool(given.pop("skip_invalid", False)),
+                )
+            request = kind(**{name: given.pop(name) for name in names if name in given})
+            return function(*arguments, request=request, **given)
 
         return pack
 
     return decorate
 
 
-def json_option(function: Command) -> Command:
-    """Add `--json`, passed on as `as_json: bool`."""
+def json_option(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Add `--json`, passed on as `as_json: bool`; the result of a failed check is printed by it."""
+
+    @functools.wraps(function)
+    def call(*arguments: object, as_json: bool, **options: object) -> Result:
+        try:
+            return function(*arguments, as_json=as_json, **options)
+        except CheckError as error:
+            if as_json and error.result is not None:
+                print_result(error.result)
+            raise
+
     return click.option(
         "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
-    )(function)
+    )(call)
 
 
 def skip_invalid_option(function: Command) -> Command:
@@ -118,20 +122,8 @@ def out_option(function: Command) -> Command:
     )(function)
 
 
-def place_firmware(config: "Config", out: Path | None) -> "Config":
-    """Return a configuration whose firmware goes where the command line says.
-
-    Raises:
-        InputError: it goes outside the project, and the command line never said so.
-    """
-    if out is not None:
-        config = replace(config, firmware_out=out)
-    require_place(config.firmware_out, config.directory, out)
-    return config
-
-
 def trust_option(function: Command) -> Command:
-    """Add `--trust`, which `zerodrift.tasks.trust` finds in click's context."""
+    """Add `--trust`, which `is_trusted` finds in click's context."""
     return click.option(
         "--trust",
         is_flag=True,
@@ -144,6 +136,12 @@ def trust_option(function: Command) -> Command:
 
 def _note_trust(context: click.Context, _: click.Parameter, trust: bool) -> None:
     context.meta[TRUST] = trust
+
+
+def is_trusted() -> bool:
+    """Return whether the command was given `--trust`."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(TRUST))
 
 
 def print_result(result: object) -> None:

@@ -1,12 +1,10 @@
 """`zerodrift compare`: the model against the measurements, run by run, and where it fails."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
 
-from zerodrift.base.extras import PAGE, require
 from zerodrift.cli.common import (
     directory_option,
     json_option,
@@ -26,14 +24,11 @@ from zerodrift.cli.console import (
     show_progress,
 )
 from zerodrift.dataset.time_units import is_unix, write_time
+from zerodrift.diagnosis.compare import Comparison
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
-from zerodrift.tasks.predictors import KINDS
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from zerodrift.diagnosis.compare import Comparison
-    from zerodrift.diagnosis.scan import Pattern
+from zerodrift.report.sentences import describe_patterns, explain_figures
+from zerodrift.tasks.compare import KINDS, CompareRequest, compare
+from zerodrift.tasks.project import ProjectFolder
 
 
 @click.command()
@@ -78,26 +73,13 @@ def command(
     in turn. Then it says where the model fails: under which conditions the squared error is
     concentrated, found by a scan and checked on runs left out, and the worst segments of time.
     """
-    if html is not None:
-        require(PAGE, "zerodrift compare --html")
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.tasks.predictors import compare_project
-    from zerodrift.tasks.project import open_project
-
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
-        catalogue = load_catalogue(config.plugin_files)
-        compared = compare_project(config, dataset, catalogue, kind=kind, most=worst, say=say)
+    project = ProjectFolder(directory, sensor, skip_invalid)
+    request = CompareRequest(project, kind, worst, html)
+    with show_progress() as progress:
+        compared = compare(request, progress)
     predictor, comparison = compared.predictor, compared.comparison
     notes = (note.write() for note in compared.notes)
-    print_notes((*dataset.notes, *predictor.notes, *notes))
-    if html is not None:
-        from zerodrift.base.journal import write_text
-        from zerodrift.report.figures import draw_comparison, render_page
-
-        figures = draw_comparison(dataset, predictor.predict, comparison)
-        page = render_page(f"{config.sensor_name}: model against measurements", figures)
-        write_text(html, page, config.directory)
+    print_notes((*project.dataset.notes, *predictor.notes, *notes))
     if as_json:
         print_result(compared.summarise())
         return
@@ -117,7 +99,7 @@ def command(
         console.print(f"Wrote {html}")
 
 
-def print_comparison(comparison: "Comparison", console: "Console") -> None:
+def print_comparison(comparison: Comparison, console: Console) -> None:
     """Print the tables, and then their meaning in sentences."""
     _print_outputs(comparison, console)
     _print_runs(comparison, console)
@@ -127,45 +109,7 @@ def print_comparison(comparison: "Comparison", console: "Console") -> None:
     _print_failures(comparison, console)
 
 
-def explain_figures(comparison: "Comparison") -> list[str]:
-    """Return sentences on how far the tables' figures can be trusted."""
-    sentences = [_finish(comparison.method.explain()), _finish(comparison.floor.explain())]
-    if comparison.tared:
-        sentences.append(
-            "The logs are zeroed one by one, so a run's own offset says nothing about the model: "
-            "it is taken off every error. RMS of what is taken off, beside the error: "
-            + ", ".join(
-                f"{name} {told.offset:.4g} beside {told.rmse:.4g} {unit}"
-                for name, unit, told in zip(
-                    comparison.outputs, comparison.units, comparison.told, strict=True
-                )
-            )
-            + "."
-        )
-    if comparison.set_aside > 0.0:
-        sentences.append(
-            f"{100.0 * comparison.set_aside:.2g} % of the samples stand at a converter's rail and "
-            "are set aside."
-        )
-    if comparison.outliers.rows:
-        without = ", ".join(
-            f"{name} {told.steady_rmse:.4g} {unit}"
-            for name, unit, told in zip(
-                comparison.outputs, comparison.units, comparison.told, strict=True
-            )
-        )
-        sentences.append(_finish(comparison.outliers.explain()))
-        sentences.append(
-            f"The tables' errors are those of all rows; the RMSE without outliers is {without}."
-        )
-    return sentences
-
-
-def _finish(sentence: str) -> str:
-    return sentence[0].upper() + sentence[1:] + "."
-
-
-def _print_outputs(comparison: "Comparison", console: "Console") -> None:
+def _print_outputs(comparison: Comparison, console: Console) -> None:
     headings = "uncompensated|in sample|held out|% FS|largest|noise floor|x floor|explained"
     table = open_table("RMSE per output", ("output", "unit"), headings.split("|"))
     for k, name in enumerate(comparison.outputs):
@@ -186,7 +130,7 @@ def _print_outputs(comparison: "Comparison", console: "Console") -> None:
     console.print(table)
 
 
-def _print_runs(comparison: "Comparison", console: "Console") -> None:
+def _print_runs(comparison: Comparison, console: Console) -> None:
     named = [f"{n} {u}" for n, u in zip(comparison.outputs, comparison.units, strict=True)]
     table = open_table("RMSE per run", ("run", ""), named)
     for run in comparison.runs:
@@ -195,7 +139,7 @@ def _print_runs(comparison: "Comparison", console: "Console") -> None:
     console.print(table)
 
 
-def _print_failures(comparison: "Comparison", console: "Console") -> None:
+def _print_failures(comparison: Comparison, console: Console) -> None:
     sentences = describe_patterns(comparison)
     failures = comparison.failures
     if not failures.worst and not sentences:
@@ -226,57 +170,3 @@ def _print_failures(comparison: "Comparison", console: "Console") -> None:
             f"{s.mean_error:+.3g} {units[s.output]}",
         )
     console.print(table)
-
-
-def describe_patterns(comparison: "Comparison") -> list[str]:
-    """Return the patterns in sentences; outputs with the same words share one."""
-    from zerodrift.diagnosis.scan import CONCENTRATED
-
-    sentences = []
-    concentrated: dict[str, list[Pattern]] = {}
-    signed: dict[int, list[Pattern]] = {}
-    for pattern in comparison.failures.patterns:
-        if pattern.kind == CONCENTRATED:
-            concentrated.setdefault(pattern.words, []).append(pattern)
-        else:
-            signed.setdefault(pattern.output, []).append(pattern)
-    for words, alike in concentrated.items():
-        time = _write_range([100.0 * p.share_of_time for p in alike])
-        sentences.append(
-            f"{_name_outputs(comparison, alike)}: {words}. {_write_error(alike)} lies in this "
-            f"{time} of the time ({_write_agreement(alike)})."
-        )
-    by_sides: dict[tuple[str, str], list[Pattern]] = {}
-    for one, other in signed.values():
-        by_sides.setdefault((one.words, other.words), []).extend((one, other))
-    for (here, there), alike in by_sides.items():
-        pairs = zip(alike[::2], alike[1::2], strict=True)
-        means = ", ".join(
-            f"{comparison.outputs[p.output]} {p.mean_error:+.2g} and {q.mean_error:+.2g} "
-            f"{comparison.units[p.output]}"
-            for p, q in pairs
-        )
-        sentences.append(
-            f"{_name_outputs(comparison, alike[::2])}: off one way {here}, the other way {there} "
-            f"({means}). That is {_write_error(alike)} ({_write_agreement(alike)})."
-        )
-    return sentences
-
-
-def _name_outputs(comparison: "Comparison", patterns: Sequence["Pattern"]) -> str:
-    return ", ".join(comparison.outputs[p.output] for p in patterns)
-
-
-def _write_error(patterns: Sequence["Pattern"]) -> str:
-    return f"{_write_range([100.0 * p.share_of_error for p in patterns])} of the squared error"
-
-
-def _write_agreement(patterns: Sequence["Pattern"]) -> str:
-    """Return as text how many runs agree, for the output on which they agree least."""
-    least = min(patterns, key=lambda p: p.runs_agreeing / p.runs_checked)
-    return f"{least.runs_agreeing} of {least.runs_checked} runs left out agree"
-
-
-def _write_range(percents: list[float]) -> str:
-    low, high = f"{min(percents):.0f}", f"{max(percents):.0f}"
-    return f"{low} %" if low == high else f"{low} to {high} %"

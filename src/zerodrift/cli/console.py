@@ -1,25 +1,26 @@
 """How the commands print: results on stdout, progress on stderr."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import astuple, fields
 from typing import TYPE_CHECKING
 
-from zerodrift.base.progress import is_watched, open_text_progress
+import click
+
+from zerodrift.base import progress
+from zerodrift.base.progress import Progress, is_watched
 from zerodrift.base.terminal import open_terminal
+from zerodrift.cli.common import is_trusted
+from zerodrift.train.summary import NetworkChoice
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.status import Status
     from rich.table import Table
 
     from zerodrift.diagnosis.advice import Advice
-    from zerodrift.physics.effect import Effect
     from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
-_shown: "list[Status]" = []
-"""What shows progress on the terminal at present."""
 LEAST_WIDTH = 120
 """Columns of a file or a pipe, which has no width of its own."""
 
@@ -68,39 +69,69 @@ def print_not_testable(reasons: Mapping[str, str], console: "Console") -> None:
         console.print()
 
 
-@contextmanager
-def show_progress(first: str) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is being done; yields a function that takes the next description.
+class UserProgress(Progress):
+    """Progress of a command: what the user is to know, and is asked, goes to stderr."""
 
-    Where `PROGRESS_LINES` is set in the environment, each step is a line that another program can
-    read; in a notebook it is text in the cell.
-    """
-    with open_text_progress() as show:
-        if show is not None:
-            show(first)
-            yield show
-            return
-    if not is_watched():
-        yield lambda _: None
-        return
-    with open_terminal(stderr=True).status(first) as status:
-        _shown.append(status)
-        try:
-            yield status.update
-        finally:
-            _shown.remove(status)
+    def tell(self, text: str) -> None:
+        """Print a sentence."""
+        with self.screen.pause():
+            click.echo(text, err=True)
+
+    def show(self, found: object) -> None:
+        """Print what a part of the work has found."""
+        with self.screen.pause():
+            if isinstance(found, NetworkChoice):
+                print_choice(found, open_terminal(stderr=True))
+
+    def confirm(self, question: str) -> bool | None:
+        """Ask the user, unless `--trust` was given or nobody is there."""
+        if is_trusted():
+            return True
+        if not is_somebody_there():
+            return None
+        with self.screen.pause():
+            return click.confirm(question, default=False, err=True)
 
 
-@contextmanager
-def pause_progress() -> Iterator[None]:
-    """Show no progress for as long as the user is asked something."""
-    for status in _shown:
-        status.stop()
-    try:
-        yield
-    finally:
-        for status in _shown:
-            status.start()
+def is_somebody_there() -> bool:
+    """Return whether a user can be asked."""
+    return bool(sys.stdin and sys.stdin.isatty() and is_watched())
+
+
+def show_progress(first: str = "") -> AbstractContextManager[UserProgress]:
+    """Show on stderr what a command is doing; the block is given what a task is handed."""
+    return progress.show_progress(UserProgress, first)
+
+
+def tabulate(choice: NetworkChoice) -> tuple[Sequence[str], list[tuple[str, ...]]]:
+    """Return heads and rows of the table as it is printed."""
+    outputs = [f"{name} [{unit}]" for name, unit in choice.units.items()]
+    heads = (*outputs, "times the best", "instr.", "flash B", "")
+    rows = []
+    for one in choice.tried:
+        if one.rmse_left_out is None:
+            rows.append((one.name, *("-" for _ in outputs), "-", "-", "-", one.why))
+            continue
+        errors = (f"{one.rmse_left_out[name]:.4g}" for name in choice.units)
+        cost = ("-" if n is None else str(n) for n in (one.instructions, one.flash_bytes))
+        mark = "taken" if one.name == choice.taken else "as good" if one.as_good else ""
+        mark = ", ".join(word for word in (mark, one.why) if word)
+        rows.append((one.name, *errors, f"{one.times_best:.3f}", *cost, mark))
+    return heads, rows
+
+
+def print_choice(choice: NetworkChoice, console: "Console") -> None:
+    """Print the networks that `[network] kind = "auto"` tried, and its choice."""
+    heads, rows = tabulate(choice)
+    title = f"RMSE on runs left out, and a step on {choice.core}"
+    table = open_table(title, ("network",), heads)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    console.print(
+        f"{choice.taken} is taken: the cheapest of those within 5 % of the best."
+        f" {choice.explanation}"
+    )
 
 
 def print_uncertainty(stated: "Mapping[str, StatedUncertainty] | None", console: "Console") -> None:
@@ -150,16 +181,3 @@ def print_statements(firmware: "FirmwareSummary", console: "Console") -> None:
         console.print(f"warning: {statement.text}")
     for statement in firmware.refused if firmware.forced else ():
         console.print(f"FORCED: {statement.text}")
-
-
-def write_values(effect: "Effect", values: "Mapping[str, float]") -> str:
-    """Return fitted values with their units."""
-    return ", ".join(
-        f"{name} {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
-        for name, value in values.items()
-    )
-
-
-def _write_unit(unit: str) -> str:
-    """Return a unit for print; plain numbers have none."""
-    return "" if unit == "1" else unit

@@ -1,9 +1,10 @@
-"""`zerodrift diagnose`: names the physical effect that the model lacks."""
+"""`zerodrift diagnose`: names the physical effect that the model, or a fleet's design, lacks."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
 
 from zerodrift.cli.common import (
     directory_option,
@@ -20,21 +21,19 @@ from zerodrift.cli.console import (
     print_advice,
     print_not_testable,
     show_progress,
-    write_values,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
-    from zerodrift.base.config import Config
-    from zerodrift.diagnosis.diagnosis import Diagnosis
-    from zerodrift.diagnosis.explained import Sentence
-    from zerodrift.physics.catalogue import Catalogue
+from zerodrift.diagnosis.changes import name_directory
+from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
+from zerodrift.fleet.differing import ERROR, GAIN, SIZE, Difference
+from zerodrift.fleet.joint_summary import FleetDiagnosis
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.description import write_values
+from zerodrift.report.sentences import explain_others, explain_verdict
+from zerodrift.tasks.diagnose import DiagnoseRequest, diagnose
+from zerodrift.tasks.project import ProjectFolder
 
 MOST_LISTED = 8
-"""Candidates that the table lists; --json has all of them."""
+"""Candidates, and units that differ, that the tables list; --json has all of them."""
 
 
 @click.command()
@@ -62,38 +61,24 @@ def command(
     In a fleet's folder all units of the design speak together, and those that differ are named;
     --sensor NAME diagnoses one unit.
     """
-    from zerodrift.base.config import load_config
-    from zerodrift.tasks.project import is_fleet, open_project
-
-    if sensor is None and is_fleet(project := load_config(directory)):
-        _diagnose_all(project, directory, auto, as_json, skip_invalid)
+    project = ProjectFolder(directory, sensor, skip_invalid)
+    with show_progress() as progress:
+        found = diagnose(DiagnoseRequest(project, auto), progress)
+    catalogue = project.catalogue
+    if isinstance(found, FleetDiagnosis):
+        if as_json:
+            print_result(found)
+        else:
+            print_fleet_diagnosis(found, catalogue, directory, open_console())
         return
-    from zerodrift.diagnosis.advice import advise
-    from zerodrift.diagnosis.changes import name_directory
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.tasks.verdict import (
-        explain_others,
-        find_verdict,
-        list_commands,
-        summarise_verdict,
-    )
-
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
-        catalogue = load_catalogue(config.plugin_files)
-        verdict = find_verdict(config, dataset, catalogue, auto=auto, say=say)
-        diagnosis, course = verdict.diagnosis, verdict.course
-        say("looking at what the logs can teach")
-        advice = advise(config, dataset, config.effects if course is None else course.effects)
-    print_notes((*dataset.notes, *diagnosis.remarks))
-    commands = list_commands(config.effects, verdict.steps, catalogue)
+    verdict = found.verdict
+    diagnosis, course = verdict.diagnosis, verdict.course
+    print_notes((*project.dataset.notes, *diagnosis.remarks))
     if as_json:
-        print_result(
-            summarise_verdict(verdict, commands, advice.summarise() if advice else None, directory)
-        )
+        print_result(found.summarise(directory))
         return
     console = open_console()
-    written = ["" if one is None else one.write(directory) for one in commands]
+    written = ["" if one is None else one.write(directory) for one in found.commands]
     if course is not None:
         _print_steps(verdict.steps, written, catalogue, console)
     print_diagnosis(diagnosis, written[-1], catalogue, console)
@@ -109,35 +94,13 @@ def command(
             f"{kind} no longer earns its place: runs left out are predicted as well without it. "
             f"To remove it: zerodrift remove {kind}{name_directory(directory)}"
         )
-    print_advice(advice, console)
-
-
-def _diagnose_all(
-    config: "Config", directory: Path, auto: bool, as_json: bool, skip_invalid: bool
-) -> None:
-    """Diagnose the design of a fleet by all of its units."""
-    from zerodrift.base.errors import InputError
-    from zerodrift.cli.diagnose_fleet import diagnose_fleet, print_fleet_diagnosis
-
-    if auto:
-        raise InputError(
-            "diagnose --auto: found a fleet; expected one model. Name a unit by --sensor, or leave "
-            "--auto out to see what all units lack."
-        )
-    with show_progress("looking for units") as say:
-        found, catalogue = diagnose_fleet(config, skip_invalid, say)
-    if as_json:
-        print_result(found)
-        return
-    print_fleet_diagnosis(found, catalogue, directory, open_console())
+    print_advice(found.advice, console)
 
 
 def print_diagnosis(
-    diagnosis: "Diagnosis", command: str, catalogue: "Catalogue", console: "Console"
+    diagnosis: Diagnosis, command: str, catalogue: Catalogue, console: Console
 ) -> None:
     """Print the candidates and the errors, and then the verdict in sentences."""
-    from zerodrift.diagnosis.diagnosis import write_probability
-
     table = open_table(
         "Effects that the model lacks, one at a time",
         ("effect", "term", "fitted values"),
@@ -170,7 +133,7 @@ def print_diagnosis(
         console.print(sentence.text)
 
 
-def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
+def _print_errors(diagnosis: Diagnosis, console: Console) -> None:
     """Print each output's error in its unit, beside the noise floor."""
     after = f"with {diagnosis.effect}" if diagnosis.effect is not None else ""
     source = "noise floor" if diagnosis.noise_floor_source == "dwell" else "noise floor (estimated)"
@@ -183,108 +146,11 @@ def _print_errors(diagnosis: "Diagnosis", console: "Console") -> None:
     console.print(table)
 
 
-def explain_verdict(
-    diagnosis: "Diagnosis", command: str, catalogue: "Catalogue"
-) -> "list[Sentence]":
-    """Return the verdict in sentences.
-
-    Args:
-        diagnosis: the result.
-        command: the command line that adds the missing effect.
-        catalogue: the known effects.
-    """
-    from zerodrift.diagnosis.diagnosis import LIKELY
-    from zerodrift.diagnosis.explained import HEADLINE, STEP, Sentence
-
-    floor = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
-    if diagnosis.noise_floor_source != "dwell":
-        floor += " (estimated)"
-    sentences: list[Sentence] = []
-    thin = " (thin evidence)" if diagnosis.evidence.startswith("thin") else ""
-    if diagnosis.verdict == "missing" and diagnosis.effect is not None:
-        effect = catalogue[diagnosis.effect]
-        named = f"{effect.kind} ({effect.title}){diagnosis.tell_odds()}"
-        sentences.append(Sentence(f"MISSING{thin}: {named}.", HEADLINE))
-        values = write_values(effect, diagnosis.parameters)
-        if values:
-            sentences.append(Sentence(f"Fitted: {values}."))
-        sentences.append(
-            Sentence(
-                f"Error in runs left out: {floor} now, "
-                f"{diagnosis.floor_ratio_after:.2f} times with it.",
-                HEADLINE,
-            )
-        )
-        if diagnosis.lookalikes:
-            names = ", ".join(diagnosis.lookalikes)
-            sentences.append(Sentence(f"These logs cannot tell it from: {names}.", HEADLINE))
-        if diagnosis.also:
-            sentences.append(Sentence(f"Missing beside it: {', '.join(diagnosis.also)}.", HEADLINE))
-        sentences.append(Sentence(effect.physics))
-    elif diagnosis.verdict == "complete":
-        sentences.append(
-            Sentence(f"COMPLETE{thin}: no effect that these logs can test helps.", HEADLINE)
-        )
-        sentences.append(Sentence(f"Error in runs left out: {floor}.", HEADLINE))
-    else:
-        sentences.append(
-            Sentence(
-                f"UNKNOWN{thin}: something is missing that no effect of the catalogue explains.",
-                HEADLINE,
-            )
-        )
-        sentences.append(Sentence(f"Error in runs left out: {floor}.", HEADLINE))
-        if diagnosis.nearest is not None:
-            sentences.append(
-                Sentence(f"Nearest, and not all of it: {diagnosis.nearest}.", HEADLINE)
-            )
-        sentences += [
-            Sentence(
-                f"What is left follows {pattern.follows} ({100.0 * pattern.share:.0f} % of it)."
-            )
-            for pattern in diagnosis.remainder
-        ]
-        if not diagnosis.remainder:
-            sentences.append(Sentence("What is left follows no signal in the logs."))
-        if not diagnosis.wrong_runs:
-            sentences.append(Sentence("To look for a formula of it: zerodrift propose", STEP))
-    if diagnosis.wrong_runs:
-        runs = diagnosis.tell_wrong_runs()
-        sentences.append(
-            Sentence(
-                f"First look at {runs}, whose data look wrong (see the notes): mend them or leave "
-                "them out, then diagnose again.",
-                STEP,
-            )
-        )
-    sentences.append(Sentence(f"Evidence: {diagnosis.evidence}."))
-    if diagnosis.next_experiment:
-        sentences.append(Sentence(f"Next experiment: {diagnosis.next_experiment}."))
-    if diagnosis.lookalikes:
-        sentences.append(
-            Sentence("To compute the experiment that tells them apart: zerodrift plan", STEP)
-        )
-    if diagnosis.effect is not None:
-        sentences.append(Sentence(f"To add it: {command}", STEP))
-        if diagnosis.something_else >= LIKELY:
-            sentences.append(
-                Sentence("Then, to look for a formula of what is left: zerodrift propose", STEP)
-            )
-        if thin:
-            sentences.append(
-                Sentence(
-                    "On evidence this thin `add` may refuse it; --force keeps what the hardware "
-                    "has."
-                )
-            )
-    return sentences
-
-
 def _print_steps(
-    steps: "Sequence[Diagnosis]",
-    commands: "Sequence[str]",
-    catalogue: "Catalogue",
-    console: "Console",
+    steps: Sequence[Diagnosis],
+    commands: Sequence[str],
+    catalogue: Catalogue,
+    console: Console,
 ) -> None:
     """Print the effects that were added, in order."""
     table = open_table(
@@ -303,3 +169,86 @@ def _print_steps(
             )
     if table.row_count:
         console.print(table)
+
+
+def print_fleet_diagnosis(
+    found: FleetDiagnosis, catalogue: Catalogue, directory: Path, console: Console
+) -> None:
+    """Print candidates, verdict, units that differ, and units that could not be examined."""
+    table = open_table(
+        "Effects that the design's model lacks, one at a time, over all units",
+        ("effect", "term", "values (median)"),
+        ("error left", "p", "units gaining", "size"),
+    )
+    for candidate in found.candidates[:MOST_LISTED]:
+        effect = catalogue[candidate.effect]
+        table.add_row(
+            effect.kind,
+            effect.title,
+            write_values(effect, candidate.parameters),
+            f"{100.0 * candidate.rmse_left_out_ratio:.1f} %",
+            f"{candidate.p_value:.2g}",
+            f"{candidate.gaining} of {len(found.units)}",
+            f"{candidate.size:.2f}",
+        )
+    if found.candidates:
+        console.print(table)
+        console.print(
+            "Error left: RMSE in runs left out, over that of the model as it is; mean over the "
+            "units. p: how often signs by chance rank some effect as high. Size: RMS in noise "
+            "floors, in the median unit.\n"
+        )
+    print_not_testable(found.not_testable, console)
+    _print_fleet_verdict(found, catalogue, console)
+    for one in found.differ[:MOST_LISTED]:
+        console.print(f"UNLIKE THE OTHERS: {tell_difference(one, directory)}")
+    if len(found.differ) > MOST_LISTED:
+        console.print(f"{len(found.differ) - MOST_LISTED} more differ; --json lists all.")
+    for name, error in found.errors.items():
+        console.print(f"not examined: {name}: {error}")
+
+
+def _print_fleet_verdict(found: FleetDiagnosis, catalogue: Catalogue, console: Console) -> None:
+    if found.effect is not None:
+        effect = catalogue[found.effect]
+        console.print(
+            f"MISSING in the design: {effect.kind} ({effect.title}), p {found.p_value:.2g}."
+        )
+        values = write_values(effect, found.parameters)
+        if values:
+            console.print(f"Fitted, median of the units: {values}.")
+        if found.lookalikes:
+            console.print(f"These units cannot tell it from: {', '.join(found.lookalikes)}.")
+        if found.also:
+            console.print(f"Missing beside it: {', '.join(found.also)}.")
+        console.print(effect.physics)
+        choices = [p for p in effect.parameters if p.choices and p.name in found.parameters]
+        held = "".join(f", {p.name} = {found.parameters[p.name]:g}" for p in choices)
+        console.print(
+            f'To add it to the design: [[effect]] with kind = "{effect.kind}"{held} in '
+            "zerodrift.toml, then zerodrift fleet."
+        )
+    elif found.verdict == "complete":
+        console.print("COMPLETE: no effect that these units can test helps the design.")
+    else:
+        console.print(
+            "UNKNOWN: something is missing in most units that no effect of the catalogue explains."
+        )
+        if found.nearest is not None:
+            console.print(f"Nearest, and not all of it: {found.nearest}.")
+    console.print(f"Evidence: {found.evidence}.")
+
+
+def tell_difference(one: Difference, directory: Path) -> str:
+    """Return a sentence on how a unit differs, and what to do."""
+    z = f"z = {one.z:+.1f}"
+    look = f"zerodrift diagnose --sensor {one.sensor}{name_directory(directory)}"
+    if one.quantity == GAIN:
+        return f"{one.sensor} lacks {one.effect}, the others do not ({z}). Look at it: {look}"
+    what = f"{one.value:.3g} against {one.median:.3g} in the median unit ({z})"
+    if one.quantity == ERROR:
+        nearest = f", nearest {one.effect}" if one.effect else ""
+        return f"{one.sensor}: the error is {what}, in noise floors{nearest}. Look at it: {look}"
+    if one.quantity == SIZE:
+        return f"{one.sensor}: {one.effect} is {what}, in noise floors. Look at it: {look}"
+    return f"{one.sensor}: {one.effect} {one.quantity} is {what}. Look at it: {look}"

@@ -1,7 +1,6 @@
 """`zerodrift diff`: what changed from one model to another, and by how much the drift differs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -14,9 +13,8 @@ from zerodrift.cli.common import (
     trust_option,
 )
 from zerodrift.cli.console import open_console, open_table, show_progress
-
-if TYPE_CHECKING:
-    from zerodrift.report.results import DiffResult
+from zerodrift.report.results import DiffResult
+from zerodrift.tasks.diff import DiffRequest, diff
 
 
 @click.command()
@@ -55,26 +53,8 @@ def command(
     OLD and NEW are projects, firmware folders or model.json files. The drifts are compared over
     LOG..., or else over the calibrated range that both have.
     """
-    from zerodrift.base.config import load_config
-    from zerodrift.tasks.diff import diff_models, find_project, open_model
-    from zerodrift.tasks.trust import require_trust
-
-    place = directory or find_project(new) or find_project(old)
-    config = load_config(place) if place is not None else None
-    plugins = config.plugin_files if config is not None else ()
-    if place is not None:
-        require_trust(plugins, place)
-    before, after = (open_model(path, plugins) for path in (old, new))
-    with show_progress("comparing") as say:
-        found = diff_models(
-            before,
-            after,
-            config=config,
-            logs=logs,
-            limit_pct_fs=limit,
-            skip_invalid=skip_invalid,
-            say=say,
-        )
+    with show_progress("comparing") as progress:
+        found = diff(DiffRequest(old, new, logs, directory, limit, skip_invalid), progress)
     if as_json:
         print_result(found)
     else:
@@ -88,7 +68,7 @@ def command(
         )
 
 
-def _print(found: "DiffResult") -> None:
+def _print(found: DiffResult) -> None:
     console = open_console()
     if found.same:
         console.print("The same model, bit for bit.")

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import click
 
+from zerodrift.base.errors import CheckError
 from zerodrift.cli.common import directory_option, json_option, print_result
 from zerodrift.cli.console import open_console, open_table
+from zerodrift.tasks.doctor import examine
 
 
 @click.command()
@@ -16,27 +18,18 @@ def command(directory: Path, as_json: bool) -> None:
 
     Changes nothing. Exit code 1 where firmware cannot be built and checked on this machine.
     """
-    from zerodrift.base.config import FILE_NAME, load_config
-    from zerodrift.base.errors import CheckError
-    from zerodrift.report.results import DoctorResult
-    from zerodrift.verify.machine import examine_machine, examine_project
-
-    machine = examine_machine()
-    items = machine.items
-    if (directory / FILE_NAME).is_file():
-        config = load_config(directory)
-        items += examine_project(directory, (config.build_directory, config.firmware_out))
+    found = examine(directory)
     if as_json:
-        print_result(DoctorResult(machine.can_check, tuple(items)))
+        print_result(found)
     else:
         console = open_console()
-        for group in dict.fromkeys(item.group for item in items):
+        for group in dict.fromkeys(item.group for item in found.items):
             table = open_table("", (group, "found", "what for, or what to do"), ())
-            for item in items:
+            for item in found.items:
                 if item.group == group:
                     table.add_row(item.name, item.state, item.use)
             console.print(table)
-    if not machine.can_check:
+    if not found.can_check:
         raise CheckError(
             "firmware cannot be built and checked here: expected a host compiler, ziglang and"
             " unicorn. Install what is missing above."

@@ -1,20 +1,18 @@
 """`zerodrift effects`: the catalogue of physical effects, and everything about one of them."""
 
+import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
 
-from zerodrift.base.journal import write_text
 from zerodrift.cli.common import json_option, print_result, trust_option
-from zerodrift.cli.console import open_console, open_table
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from zerodrift.diagnosis.fingerprint import Fingerprint
-    from zerodrift.physics.catalogue import Catalogue
-    from zerodrift.physics.effect import Effect, Parameter
+from zerodrift.cli.console import open_console, open_table, show_progress
+from zerodrift.diagnosis.fingerprint import Fingerprint, draw_characters
+from zerodrift.physics.catalogue import Catalogue
+from zerodrift.physics.effect import Effect, Parameter
+from zerodrift.tasks.effects import EffectsRequest, list_effects
+from zerodrift.tasks.project import ProjectFolder
 
 WIDTH = 88
 """Columns of running text."""
@@ -44,42 +42,19 @@ def command(name: str | None, directory: Path, html: Path | None, as_json: bool)
     Equation, parameters with units and bounds, what it looks like, how to provoke it, what to do
     about it in hardware, and the source.
     """
-    from zerodrift.base.config import load_config
-    from zerodrift.base.errors import InputError
-    from zerodrift.diagnosis.fingerprint import draw_fingerprint
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.physics.description import describe_effect
-    from zerodrift.report.results import EffectResult, EffectsResult
-    from zerodrift.tasks.trust import require_trust
-
-    plugins: tuple[Path, ...] = ()
-    if (directory / "zerodrift.toml").is_file():
-        plugins = load_config(directory).plugin_files
-        require_trust(plugins, directory)
-    catalogue = load_catalogue(plugins)
-    if name is None:
-        if html is not None:
-            raise InputError("--html draws one effect; name it, as in: zerodrift effects creep")
-        if as_json:
-            print_result(EffectsResult(tuple(describe_effect(e) for e in catalogue.listed())))
-        else:
-            _print_catalogue(catalogue, open_console())
-        return
-    effect = catalogue[name]
-    picture = draw_fingerprint(effect, catalogue)
-    if html is not None:
-        if picture is None:
-            raise InputError(f"effect '{name}' has no picture: it only sets samples aside.")
-        write_text(html, _draw_page(effect, picture))
+    with show_progress() as progress:
+        found = list_effects(EffectsRequest(ProjectFolder(directory), name, html), progress)
     if as_json:
-        print_result(EffectResult(**vars(describe_effect(effect))))
-        return
-    _print_effect(effect, picture, open_console())
-    if html is not None:
-        click.echo(f"Wrote {html}")
+        print_result(found.result)
+    elif found.effect is None:
+        _print_catalogue(found.catalogue, open_console())
+    else:
+        _print_effect(found.effect, found.picture, open_console())
+        if html is not None:
+            click.echo(f"Wrote {html}")
 
 
-def _print_catalogue(catalogue: "Catalogue", console: "Console") -> None:
+def _print_catalogue(catalogue: Catalogue, console: Console) -> None:
     table = open_table("Physical effects", ("effect", "term", "model", "needs"), ())
     for effect in catalogue.listed():
         needs = ", ".join(need.split("|")[0] for need in effect.needs)
@@ -88,9 +63,7 @@ def _print_catalogue(catalogue: "Catalogue", console: "Console") -> None:
     console.print("More about one: zerodrift effects NAME")
 
 
-def _print_effect(effect: "Effect", picture: "Fingerprint | None", console: "Console") -> None:
-    from zerodrift.diagnosis.fingerprint import draw_characters
-
+def _print_effect(effect: Effect, picture: Fingerprint | None, console: Console) -> None:
     console.print(f"{effect.kind}: {effect.title}")
     if effect.file:
         console.print(f"declared in {effect.file}")
@@ -118,7 +91,7 @@ def _print_effect(effect: "Effect", picture: "Fingerprint | None", console: "Con
             _print_text(f"{heading}: {text}", console)
 
 
-def _tell_ranges(parameter: "Parameter") -> tuple[str, str, str]:
+def _tell_ranges(parameter: Parameter) -> tuple[str, str, str]:
     """Return typical range, allowed range, and the default if the parameter is left out."""
     if parameter.choices:
         allowed = ", ".join(f"{choice:g}" for choice in parameter.choices)
@@ -132,19 +105,8 @@ def _tell_ranges(parameter: "Parameter") -> tuple[str, str, str]:
     )
 
 
-def _print_text(text: str, console: "Console") -> None:
+def _print_text(text: str, console: Console) -> None:
     """Print a paragraph, filled."""
-    import textwrap
-
     if text:
         console.print(textwrap.fill(text, WIDTH))
         console.print()
-
-
-def _draw_page(effect: "Effect", picture: "Fingerprint") -> str:
-    """Return the plot as a self-contained page."""
-    from zerodrift.report.figures import draw_fingerprint as draw_figure
-    from zerodrift.report.figures import render_page
-
-    figure = draw_figure(effect.title, picture)
-    return render_page(f"{effect.kind}: {effect.title}", [figure], [effect.equation])

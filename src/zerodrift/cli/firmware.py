@@ -1,26 +1,21 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.base.config import Config
+from zerodrift.base.block_config import BlockConfig
 from zerodrift.base.errors import CheckError
-from zerodrift.base.journal import change_together, write_all
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
-from zerodrift.base.terminal import open_terminal
+from zerodrift.base.files import show_path
+from zerodrift.blocks.block import decode_header
 from zerodrift.cli.common import (
-    changes_project,
+    as_request,
     directory_option,
     json_option,
     out_option,
-    place_firmware,
-    print_notes,
     print_result,
     sensor_option,
     skip_invalid_option,
@@ -33,50 +28,16 @@ from zerodrift.cli.console import (
     print_statements,
     show_progress,
 )
-from zerodrift.cli.onnx_option import OnnxRequest, onnx_options, open_import
-from zerodrift.tasks.runs_left_out import (
-    NO_TRAINING,
-    RunsLeftOut,
-    keep_uncertainty,
-    leave_runs_out,
-)
-from zerodrift.tasks.trust import remember_code, require_place
-from zerodrift.verify.conversions_told import summarise_conversions, tell_conversions
-from zerodrift.verify.summary import (
-    REFUSED,
-    BudgetSummary,
-    Claims,
-    ErrorCauses,
-    FirmwareSummary,
-    NodeShare,
-    ProvenError,
-    Refusal,
-    StackSummary,
-    StageErrors,
-    Statement,
-    TimeShare,
-)
+from zerodrift.cli.onnx_option import onnx_options
+from zerodrift.operations.input import IntegerInput
+from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
+from zerodrift.verify.conversions_told import tell_conversions
+from zerodrift.verify.errors_told import OutputError
+from zerodrift.verify.firmware import Firmware
+from zerodrift.verify.summary import ErrorCauses, FirmwareSummary, ProvenError
 
 if TYPE_CHECKING:
-    from zerodrift.dataset.runs import Dataset
-    from zerodrift.export.float_model import FloatModel
-    from zerodrift.verify.firmware import Firmware
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
     from rich.console import Console
-
-    from zerodrift.base.block_config import BlockConfig
-    from zerodrift.export.error_bound import ErrorBound
-    from zerodrift.export.integer_model import IntegerModel
-    from zerodrift.verify.errors_told import OutputError
-    from zerodrift.verify.firmware import Firmware
-
-FILE_NAME = "firmware.json"
-"""In build/: what the last firmware that was written achieved."""
 
 SMALL_BOUND = 0.1
 """Of what compensation gains: the share up to which a bound says something of the errors above it,
@@ -103,17 +64,8 @@ BUDGET_ROWS = 5
 )
 @out_option
 @onnx_options
-@changes_project
-def command(
-    directory: Path,
-    sensor: str | None,
-    as_json: bool,
-    skip_invalid: bool,
-    force: bool,
-    uncertainty: bool,
-    out: Path | None,
-    request: OnnxRequest,
-) -> None:
+@as_request(FirmwareRequest)
+def command(request: FirmwareRequest, as_json: bool) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
     Writes <out>/<sensor>.h and .c with runtime, certificate.json and manifest.json beside them,
@@ -131,166 +83,26 @@ def command(
     With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
     --calibrate LOG... names the logs that set the ranges of the integers.
     """
-    from zerodrift.export.compose import describe_compensator
-    from zerodrift.tasks.project import (
-        open_project,
-        refuse_shared_program,
-        refuse_wrong_data,
-        train_project,
-    )
-
-    refuse_shared_program(directory, sensor)
-    import_module("zerodrift.verify.checkers")  # told before anything is trained
-    console = open_terminal(stderr=True)
-    left = NO_TRAINING
-    if request:
-        config, dataset, described, notes = open_import(request, directory, skip_invalid, sensor)
-        print_notes((*dataset.notes, *notes))
-        config = place_firmware(config, out)
-        against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
-    else:
-        with show_progress("reading logs"):
-            config, dataset = open_project(directory, skip_invalid, sensor)
-        print_notes(dataset.notes)
-        config = place_firmware(config, out)
-        against = refuse_wrong_data(config, dataset, force=force, as_json=as_json, keep=True)
-        compensator = train_project(config, dataset, console)
-        described = describe_compensator(compensator, config, dataset.train)
-        left = leave_runs_out(config, dataset, compensator, wanted=uncertainty)
-    print_notes((left.why,) if left.why else ())
-    network = (request.path.absolute(),) if request and request.path else ()
-    firmware, result = make_firmware(
-        config, dataset, described, left, force=force, network=network, against=against
-    )
-    written = bool(firmware.files)
+    with show_progress() as progress:
+        made = make_firmware(request, progress)
     if as_json:
-        print_result(result)
+        print_result(made.result)
     else:
-        _print(firmware, result, config.directory, config.block)
-    if not written:
+        _print(made.firmware, made.result, made.config.directory, made.config.block)
+    if made.refusal:
         raise CheckError(
-            f"{firmware.gate.explain()}\nNothing was written to"
-            f" {show_path(config.firmware_out, config.directory)}/. Mend what is named, or write it"
-            " all the same with --force."
+            f"{made.refusal}\nNothing was written to"
+            f" {show_path(made.config.firmware_out, made.config.directory)}/. Mend what is named,"
+            " or write it all the same with --force."
         )
 
 
-def make_firmware(
-    config: Config,
-    dataset: "Dataset",
-    described: "FloatModel",
-    left: RunsLeftOut,
-    *,
-    force: bool = False,
-    network: tuple[Path, ...] = (),
-    against: tuple[Statement, ...] = (),
-) -> "tuple[Firmware, FirmwareSummary]":
-    """Build a float model's firmware and write it if the gate accepts it.
-
-    Args:
-        config: the project.
-        dataset: its runs.
-        described: the float model.
-        left: predictions for training runs by models that did not learn from them.
-        force: write the firmware even if the gate refuses it.
-        network: the ONNX file that the network comes from.
-        against: what was found against the logs, before anything was fitted.
-    """
-    from zerodrift.blocks.files import BLOCK
-    from zerodrift.c_runtime.host import render_sources
-    from zerodrift.field.editions import find_editions
-    from zerodrift.verify.firmware import GateRequest, build_firmware
-
-    require_place(config.firmware_out, config.directory)
-    with change_together(config.directory):
-        with show_progress("quantizing") as say:
-            firmware = build_firmware(
-                config,
-                dataset,
-                described,
-                say,
-                gate_request=GateRequest(left.judge(dataset), against, force),
-                network=network,
-                editions=find_editions(config.directory, (config.firmware_out / f"{BLOCK}.bin",)),
-            )
-        result = summarise(firmware, config.directory)
-        keep(result, config)
-        if firmware.files:
-            remember_code(render_sources(firmware.code))
-            keep_uncertainty(firmware, config, dataset, described, left)
-    return firmware, result
-
-
-def summarise(firmware: "Firmware", directory: Path) -> FirmwareSummary:
-    """Return the record that the command prints as JSON."""
-    size, chip, errors = firmware.footprint, firmware.chip, firmware.errors
-    untuned = {e.name: e.integer_model for e in firmware.untuned} if firmware.untuned else None
-    return FirmwareSummary(
-        bit_exact=firmware.check.failure is None,
-        vectors=firmware.check.vectors,
-        backends=(*firmware.check.backends, *([chip.core] if chip else [])),
-        flash_bytes=size.flash_bytes,
-        ram_bytes=size.ram_bytes,
-        stack_bytes=size.stack_bytes,
-        stack=StackSummary(size.compiler, tuple(size.flags), dict(size.stacks)),
-        core=size.core,
-        instructions_per_step={chip.core: chip.instructions_per_step} if chip else {},
-        rmse=StageErrors(
-            uncompensated={e.name: e.uncompensated for e in errors},
-            physics={e.name: e.physics for e in errors if e.physics is not None} or None,
-            float={e.name: e.float_model for e in errors},
-            integer={e.name: e.integer_model for e in errors},
-            integer_not_fine_tuned=untuned,
-        ),
-        bias={e.name: e.integer_bias for e in errors},
-        rmse_integer_to_float={e.name: e.integer_to_float for e in errors},
-        error_budget=summarise_budget(firmware),
-        rmse_pct_fs={e.name: e.percent_of_full_scale for e in errors},
-        explained={e.name: e.explained for e in errors},
-        units={e.name: e.unit for e in errors},
-        held_out=firmware.held_out,
-        tared=firmware.tared,
-        runs=tuple(firmware.error_runs),
-        model_hash=firmware.model.hash,
-        certificate=Claims(firmware.certificate.holds),
-        gate=firmware.gate.method,
-        chip_error={
-            e.name: split for e, split in zip(errors, firmware.gate.chip_error, strict=True)
-        },
-        warnings=firmware.gate.warnings,
-        refused=firmware.gate.refused,
-        forced=bool(firmware.forced),
-        written=bool(firmware.files),
-        files=tuple(show_path(path, directory) for path in firmware.files),
-        error_bound=summarise_bound(firmware.bound, firmware.model),
-        conversions=summarise_conversions(firmware.model) or None,
-    )
-
-
-def summarise_bound(bound: "ErrorBound", model: "IntegerModel") -> dict[str, ProvenError]:
-    """Return the proven error bound of every output."""
-    from zerodrift.export.error_bound import round_up
-
-    if not bound.outputs:
-        return {o.name: ProvenError(value=None, unit=o.unit, why=bound.why) for o in model.outputs}
-    return {
-        output.name: ProvenError(
-            value=round_up(error.total),
-            unit=output.unit,
-            holds=bound.holds,
-            why=bound.why,
-            causes=ErrorCauses(*map(round_up, error.parts())),
-        )
-        for output, error in zip(model.outputs, bound.outputs, strict=True)
-    }
-
-
-def _is_learnt(firmware: "Firmware") -> bool:
+def _is_learnt(firmware: Firmware) -> bool:
     """Return whether a network or lag bank was learnt besides the physical model."""
     return any(e.physics is not None for e in firmware.errors)
 
 
-def explain_worse_than_physics(errors: "Sequence[OutputError]") -> str:
+def explain_worse_than_physics(errors: Sequence[OutputError]) -> str:
     """Return a sentence on outputs that the physical model alone predicts better, or ""."""
     worse = [
         f"{e.name} {e.float_model:.4g} against {e.physics:.4g} {e.unit}"
@@ -305,46 +117,7 @@ def explain_worse_than_physics(errors: "Sequence[OutputError]") -> str:
     )
 
 
-def summarise_budget(firmware: "Firmware") -> BudgetSummary:
-    """Return the error by its causes."""
-
-    def name(values: "NDArray[np.float64]") -> dict[str, float]:
-        return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
-
-    budget = firmware.budget
-    return BudgetSummary(
-        float_to_measured={e.name: e.float_model for e in firmware.errors},
-        integer_to_float=name(budget.total),
-        nodes=tuple(NodeShare(n.node, n.kind, name(n.rms)) for n in budget.nodes),
-        over_time=tuple(
-            TimeShare(s.first_step, s.last_step, name(s.rms)) for s in budget.over_time
-        ),
-    )
-
-
-def keep(result: FirmwareSummary, config: Config) -> None:
-    """Write the result to build/, for the report.
-
-    For firmware that was written, the command's JSON goes to firmware.json. For refused firmware
-    the gate's reasons go to refused.json; firmware.json keeps the JSON of the last one written.
-    """
-    build = config.build_directory
-    if result.written:
-        files = {build / FILE_NAME: render_sealed(to_dict(result)), build / REFUSED: None}
-    else:
-        refusal = Refusal(model_hash=result.model_hash, refused=result.refused)
-        files = {build / REFUSED: render_sealed(to_dict(refusal))}
-    write_all(config.directory, files)
-
-
-def show_path(path: Path, directory: Path) -> str:
-    """Return a path relative to the project where it lies inside it."""
-    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
-
-
-def _print(
-    firmware: "Firmware", told: FirmwareSummary, directory: Path, asked: "BlockConfig"
-) -> None:
+def _print(firmware: Firmware, told: FirmwareSummary, directory: Path, asked: BlockConfig) -> None:
     console = open_console()
     kind = "held-out runs" if firmware.held_out else "TRAINING runs (no test logs are configured)"
     table = open_table(
@@ -419,10 +192,8 @@ def _print(
         console.print(f"wrote {show_path(folder, directory)}/: {names}")
 
 
-def tell_edition(block: bytes, asked: "BlockConfig") -> str:
+def tell_edition(block: bytes, asked: BlockConfig) -> str:
     """Return which block of the unit this is, and why its date is not the stated one if so."""
-    from zerodrift.blocks.block import decode_header
-
     notes = decode_header(block, "block").notes
     text = f"block of {notes.serial}: sequence {notes.sequence}, calibrated {notes.calibrated}"
     if asked.calibrated != notes.calibrated:
@@ -430,7 +201,7 @@ def tell_edition(block: bytes, asked: "BlockConfig") -> str:
     return text
 
 
-def _print_bound(told: FirmwareSummary, firmware: "Firmware", console: "Console") -> None:
+def _print_bound(told: FirmwareSummary, firmware: Firmware, console: "Console") -> None:
     """Print the proven bound on the error between chip and float model."""
     found = told.error_bound or {}
     proven = {name: bound for name, bound in found.items() if bound.value is not None}
@@ -464,7 +235,7 @@ def list_small_bounds(told: FirmwareSummary) -> tuple[str, ...]:
 
 
 def _print_bounds(
-    proven: Mapping[str, ProvenError], firmware: "Firmware", console: "Console"
+    proven: Mapping[str, ProvenError], firmware: Firmware, console: "Console"
 ) -> None:
     """Print the table of some outputs' bounds by cause."""
     causes = [cause.name for cause in fields(ErrorCauses)]
@@ -492,10 +263,8 @@ def _print_bounds(
         console.print(f"A smaller one is not proven: {firmware.bound.why}.")
 
 
-def _print_budget(firmware: "Firmware", console: "Console") -> None:
+def _print_budget(firmware: Firmware, console: "Console") -> None:
     """Print the error that quantization adds, node by node and over time."""
-    from zerodrift.operations.input import IntegerInput
-
     table = open_table(
         "What quantization costs inside the calibrated ranges, RMS of integer minus float model",
         ("",),

@@ -1,53 +1,26 @@
 """`zerodrift fleet`: hundreds of sensors of one design, each to checked C, and the yield."""
 
-import os
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from zerodrift.base.errors import CheckError
 from zerodrift.cli.common import (
-    changes_project,
+    as_request,
     directory_option,
     json_option,
     out_option,
-    packed,
-    place_firmware,
     print_result,
     skip_invalid_option,
 )
-
-if TYPE_CHECKING:
-    from zerodrift.fleet.blocks import FleetBlocks
-    from zerodrift.fleet.design import Design
-    from zerodrift.fleet.report import FleetReport
-    from zerodrift.fleet.run import FleetProgress
+from zerodrift.cli.console import open_console, open_table, show_progress
+from zerodrift.fleet.blocks import FleetBlocks
+from zerodrift.fleet.report import ERROR, FAIL, FORCED, PASS, FleetReport, tell_forced
+from zerodrift.tasks.fleet import DEVICES, FleetRequest, calibrate_fleet
 
 SHOWN = 10
 """Sensors of each kind that the terminal shows; the report has all."""
-DEVICES = ("auto", "cpu", "cuda")
-
-
-@dataclass(frozen=True)
-class FleetOptions:
-    """The options of `fleet`."""
-
-    jobs: int | None
-    batch: int | None
-    with_firmware: bool
-    force: bool
-    fresh: bool
-    device: str
-    over_ray: bool
-    ray_address: str | None
-    uncertainty: bool
-    out: Path | None = None
-    """The firmware folder, in place of that of `[firmware] out`."""
 
 
 @click.command("fleet")
@@ -99,9 +72,8 @@ class FleetOptions:
     " compensated value (default), or state none.",
 )
 @out_option
-@changes_project
-@packed(FleetOptions)
-def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOptions) -> None:
+@as_request(FleetRequest)
+def command(request: FleetRequest, as_json: bool) -> None:
     """Calibrate all sensors of one design: fit, train, generate, check, and report the yield.
 
     The design is zerodrift.toml; {sensor} in [fleet] folder or in the selectors of [logs] stands
@@ -113,89 +85,22 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: FleetOp
     spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate and not
     forced, or exceeds a limit.
     """
-    from zerodrift.base.config import load_config
-    from zerodrift.base.errors import CheckError
-    from zerodrift.dataset.design_codes import (
-        DESIGN_FORMAT,
-        list_unstated,
-        require_design_lsb,
-    )
-    from zerodrift.fleet.design import Design
-    from zerodrift.fleet.executors import Executor, OverRay, Processes, Serial, import_ray
-    from zerodrift.fleet.register import enter_fleet
-    from zerodrift.fleet.report import ERROR, FAIL, judge_fleet, summarise_report, write_report
-    from zerodrift.fleet.run import run_fleet
-
-    config = place_firmware(load_config(directory), options.out)
-    place = choose_device(options.device, config.network.kind != "none")
-    jobs = options.jobs or (1 if place != "cpu" else os.cpu_count() or 1)
-    design = Design(
-        config,
-        options.with_firmware,
-        skip_invalid,
-        place,
-        options.force,
-        options.uncertainty,
-    )
-    executor: Executor
-    if options.over_ray or options.ray_address:
-        import_ray()
-        executor = OverRay(options.ray_address, jobs)
-    else:
-        executor = Processes(jobs) if jobs > 1 else Serial()
-    for name in list_unstated(config):
-        if config.format >= DESIGN_FORMAT:
-            require_design_lsb(config, name)
-        click.echo(
-            f"note: the codes of '{name}' follow from each unit's own logs, so that one may be"
-            " worth something else from unit to unit; `zerodrift init --upgrade` writes down one"
-            " for all",
-            err=True,
-        )
-    state = _RunState()
-    blocks, no_program = None, None
-    try:
-        with _show_progress(state) as tell, _open_spool(design) as design, closing(executor):
-            outcomes = run_fleet(
-                design, executor, jobs=jobs, batch=options.batch, fresh=options.fresh, report=tell
-            )
-            if design.in_block:
-                from zerodrift.fleet.blocks import NoProgramError, write_blocks
-
-                try:
-                    outcomes, blocks = write_blocks(
-                        design, executor, outcomes, jobs=jobs, batch=options.batch, report=tell
-                    )
-                except NoProgramError as error:
-                    outcomes, no_program = error.outcomes, error
-    except (KeyboardInterrupt, CheckError):
-        click.echo(state.explain_stop(), err=True)
-        raise
-    if no_program is None:
-        enter_fleet(design, outcomes)
-    report = judge_fleet(design, outcomes)
-    paths = write_report(design, report)
+    with show_progress() as progress:
+        found = calibrate_fleet(request, progress)
     if as_json:
-        summary = summarise_report(report)
-        if blocks is not None:
-            from zerodrift.fleet.summary import BlocksSummary
-
-            told = BlocksSummary(
-                blocks.program, blocks.bytes, len(blocks.units), blocks.vectors, blocks.refused
-            )
-            summary = replace(summary, blocks=told)
-        print_result(summary)
+        print_result(found.result)
     else:
-        _print(report, [str(path) for path in paths], config.directory)
-        if blocks is not None:
-            _print_blocks(blocks)
-    if no_program is not None:
-        raise no_program
-    if report.count(ERROR) or report.count(FAIL) or (blocks is not None and blocks.refused):
+        directory = request.project.config.directory
+        _print(found.report, [str(path) for path in found.files], directory)
+        if found.blocks is not None:
+            _print_blocks(found.blocks)
+    if found.no_program is not None:
+        raise found.no_program
+    if found.fails:
         sys.exit(CheckError.exit_code)
 
 
-def _print_blocks(blocks: "FleetBlocks") -> None:
+def _print_blocks(blocks: FleetBlocks) -> None:
     """Print the one program and the units that have a block for it."""
     for sensor, why in blocks.refused.items():
         click.echo(f"no block for {sensor}: {why}", err=True)
@@ -205,95 +110,8 @@ def _print_blocks(blocks: "FleetBlocks") -> None:
     )
 
 
-def choose_device(device: str, needed: bool) -> str:
-    """Return where networks are trained.
-
-    Raises:
-        InputError: a GPU is asked for and PyTorch has none.
-    """
-    if not needed or device == "cpu":
-        return "cpu"
-    import torch
-
-    from zerodrift.base.errors import InputError
-
-    there = torch.cuda.is_available()
-    if device == "cuda" and not there:
-        raise InputError(
-            "--device cuda: PyTorch finds no GPU here; expected one. Leave the option out to train"
-            " on the CPU."
-        )
-    return "cuda" if there else "cpu"
-
-
-@contextmanager
-def _open_spool(design: "Design") -> "Iterator[Design]":
-    """Yield the design with a folder for what its second pass needs, where it has one."""
-    if not design.in_block:
-        yield design
-        return
-    with tempfile.TemporaryDirectory(prefix="zerodrift-fleet-") as folder:
-        yield replace(design, spool=Path(folder))
-
-
-class _RunState:
-    """How far the run is, for the message when it ends early."""
-
-    def __init__(self) -> None:
-        self.progress: FleetProgress | None = None
-
-    def explain_stop(self) -> str:
-        """Return what is kept and how to go on."""
-        if self.progress is None:
-            return "stopped before the first sensor was done"
-        p = self.progress
-        return (
-            f"stopped: {p.done - p.failed} of {p.total} sensors are done and kept; the same command"
-            " goes on with the others"
-        )
-
-
-@contextmanager
-def _show_progress(state: _RunState) -> "Iterator[Callable[[FleetProgress], None]]":
-    """Show a bar on stderr, or lines for another program."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    from zerodrift.base.progress import PROGRESS_LINES, is_watched, print_progress
-    from zerodrift.base.terminal import open_terminal
-
-    def describe(p: "FleetProgress") -> str:
-        parts = [f"{p.kept} kept"] * bool(p.kept) + [f"{p.failed} failed"] * bool(p.failed)
-        return ", ".join(parts)
-
-    if os.environ.get(PROGRESS_LINES):
-
-        def tell_line(p: "FleetProgress") -> None:
-            state.progress = p
-            print_progress(f"{p.done} of {p.total} sensors {describe(p)}".strip())
-
-        yield tell_line
-        return
-    console = open_terminal(stderr=True)
-    columns = (
-        *(TextColumn("sensors"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
-        TextColumn("{task.fields[text]}", markup=False),
-    )
-    with Bar(*columns, console=console, disable=not is_watched()) as bar:
-        task = bar.add_task("", total=None, text="")
-
-        def tell(p: "FleetProgress") -> None:
-            state.progress = p
-            bar.update(task, completed=p.done, total=p.total, text=describe(p))
-
-        yield tell
-
-
-def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
+def _print(report: FleetReport, paths: list[str], directory: Path) -> None:
     """Print yield, spread, and the first sensors of each kind that need a look."""
-    from zerodrift.cli.console import open_console, open_table
-    from zerodrift.fleet.report import ERROR, FAIL, FORCED, PASS, tell_forced
-
     console = open_console()
     total = len(report.verdicts)
     kept = sum(v.kept for v in report.verdicts)
@@ -332,7 +150,7 @@ def _print(report: "FleetReport", paths: list[str], directory: Path) -> None:
     console.print("wrote " + ", ".join(_relative(path, directory) for path in paths))
 
 
-def _tell_check(report: "FleetReport") -> str:
+def _tell_check(report: FleetReport) -> str:
     """Return in a sentence how much was compared bit for bit."""
     checked = [r.vectors for r in report.results if r.vectors]
     if not checked:
@@ -343,7 +161,7 @@ def _tell_check(report: "FleetReport") -> str:
     )
 
 
-def _explain(report: "FleetReport", status: str) -> list[str]:
+def _explain(report: FleetReport, status: str) -> list[str]:
     """Return a line per sensor of a status, with the first reason."""
     lines = []
     for v in report.verdicts:

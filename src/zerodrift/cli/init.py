@@ -1,37 +1,20 @@
 """`zerodrift init LOG...`: a commented zerodrift.toml guessed from the logs."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from zerodrift.base.clock_config import TIME_UNITS
-from zerodrift.base.config import FILE_NAME, TRAIN, Config, parse_config
-from zerodrift.base.errors import InputError, ZerodriftError
-from zerodrift.base.journal import write_text
+from zerodrift.base.config import FILE_NAME
+from zerodrift.base.errors import InputError
 from zerodrift.cli.common import directory_option, json_option, print_result
-from zerodrift.dataset.guess import Guess, guess_project
-from zerodrift.dataset.guess_runs import LogFiles
-from zerodrift.dataset.selectors import list_files, order_path
-from zerodrift.tasks.init_toml import (
-    TARED,
-    find_temperature_unit,
-    render_seen,
-    write_config,
-    write_selectors,
-)
-from zerodrift.tasks.trust import claim
-
-if TYPE_CHECKING:
-    from zerodrift.dataset.runs import Dataset
-    from zerodrift.report.results import InitResult
-
-NOT_YET = "the logs cannot be used yet"
-#: Use -> words in a log's name that suggest it.
-USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}
+from zerodrift.cli.console import show_progress
+from zerodrift.dataset.guess import Guess
+from zerodrift.tasks.init import InitOutcome, InitRequest, begin
+from zerodrift.tasks.init_toml import find_temperature_unit, render_seen
+from zerodrift.tasks.upgrade import describe, upgrade
 
 
 @click.command()
@@ -74,89 +57,25 @@ def command(
     its logs, so that units of one design may get different ones, those chosen so far are written
     down: of a fleet those that hold the logs of every unit.
     """
-    from zerodrift.dataset.load import load_dataset
-
-    target = directory / FILE_NAME
     if is_upgrade:
         if logs or force or interactive or period_s is not None:
             raise InputError(
                 "init --upgrade: reads the logs that zerodrift.toml names and guesses nothing; "
                 "expected no LOG, --force, --interactive or --period-s beside it. Take them out."
             )
-        _upgrade(directory, as_json)
+        with show_progress() as progress:
+            upgraded = upgrade(directory, progress)
+        if as_json:
+            print_result(upgraded)
+        else:
+            click.echo(describe(upgraded))
         return
-    if not logs:
-        raise InputError(
-            "init: no log is named; expected files or folders to guess from, such as `zerodrift "
-            "init logs/`, or --upgrade for a project that there is."
-        )
-    if target.exists() and not force:
-        raise InputError(f"{target}: exists already; --force overwrites it.")
-    places = [log if log.exists() else directory / log for log in logs]
-    guess = guess_project(places, period_s, directory)
-    if interactive:
-        guess = ask(guess)
-    uses = _sort_by_use(guess.logs)
-    selectors = {use: write_selectors(runs, directory) for use, runs in uses.items()}
-    if len(guess.logs) == 1 and len(guess.runs) < 2:
-        only = selectors[TRAIN][0]
-        selectors = {"train": [f"{only}@0%:60%"], "test": [f"{only}@60%:100%"], "dwell": []}
-    text = write_config(guess, selectors)
-    config = parse_config(text, target.absolute())
-    try:
-        told = _explain_tare(config, load_dataset(config))
-    except InputError as error:
-        guess = replace(guess, refused=str(error), checks=(*guess.checks, f"{NOT_YET}: {error}"))
-    else:
-        if told:
-            guess = replace(
-                guess,
-                checks=(*guess.checks, f"[logs] tared is not stated: {told}"),
-                alternatives={**guess.alternatives, TARED: (told,)},
-            )
-            text = write_config(guess, selectors)
-    write_text(target, text)
-    claim(directory)
+    request = InitRequest(directory, logs, force, period_s)
+    found = begin(request, ask) if interactive else begin(request)
     if as_json:
-        print_result(_summarise(target, guess, selectors))
-        return
-    click.echo(_describe_guess(target, guess, selectors))
-
-
-def _explain_tare(config: Config, dataset: "Dataset") -> str:
-    """Return why the logs look as if each had been zeroed by itself; "" where they do not.
-
-    What cannot be fitted yet is left to the next command, which names it.
-    """
-    import numpy as np
-
-    from zerodrift.physics.fit import fit_config
-
-    try:
-        model = fit_config(config, dataset)
-    except ZerodriftError:
-        return ""
-    if not model.tared:
-        return ""
-    spread = [float(x) for x in np.std([*model.offsets.values()], axis=0)]
-    named = ", ".join(
-        f"{name} {x:.2g} {unit}"
-        for name, unit, x in zip(dataset.outputs, dataset.units, spread, strict=True)
-    )
-    return (
-        f"at the same temperature the runs differ by offsets of their own ({named} RMS): true if"
-        " each log was zeroed by itself, false if these are errors of the sensor"
-    )
-
-
-def _upgrade(directory: Path, as_json: bool) -> None:
-    from zerodrift.tasks.upgrade import describe, upgrade
-
-    result = upgrade(directory)
-    if as_json:
-        print_result(result)
+        print_result(found.result)
     else:
-        click.echo(describe(result))
+        click.echo(_describe_guess(found))
 
 
 def ask(guess: Guess) -> Guess:
@@ -230,56 +149,12 @@ def _ask_time(guess: Guess) -> Guess:
     return replace(guess, time=time, sample_period_s=period_s, alternatives=left)
 
 
-def find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
-    """Return the files named, and those of each directory named, sorted by name."""
-    paths: list[Path] = []
-    for log in logs:
-        place = log if log.exists() else directory / log
-        found = list_files(place)
-        if not found:
-            raise InputError(f"{place}: holds no log; expected CSV or Parquet files.")
-        paths += found
-    return sorted(set(paths), key=lambda path: order_path(path, directory))
-
-
-def _sort_by_use(logs: Sequence[LogFiles]) -> dict[str, list[LogFiles]]:
-    """Sort logs into train, test and dwell by words in their names; never leave train empty."""
-    uses: dict[str, list[LogFiles]] = {"train": [], "test": [], "dwell": []}
-    for log in logs:
-        name = log.path.stem.lower()
-        found = [use for use, words in USE_WORDS.items() if any(word in name for word in words)]
-        uses[found[0] if found else "train"].append(log)
-    if not uses[TRAIN]:
-        return {"train": list(logs), "test": [], "dwell": []}
-    return uses
-
-
-def _summarise(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> "InitResult":
-    from zerodrift.report.results import GuessedColumns, InitColumn, InitResult
-
-    return InitResult(
-        file=str(target),
-        time=guess.time.name,
-        temperature=guess.temperature,
-        sample_period_s=guess.sample_period_s,
-        outputs={
-            o.name: GuessedColumns(o.measured, o.reference, o.unit, o.full_scale)
-            for o in guess.outputs
-        },
-        inputs=guess.inputs,
-        logs={use: tuple(files) for use, files in selectors.items()},
-        check=tuple(guess.checks),
-        columns=tuple(
-            InitColumn(c.file, c.column, c.role, c.unit, c.low, c.high, c.why) for c in guess.seen
-        ),
-    )
-
-
-def _describe_guess(target: Path, guess: Guess, selectors: dict[str, list[str]]) -> str:
+def _describe_guess(found: InitOutcome) -> str:
+    guess = found.guess
     time = guess.time.name or "none"
     lines = [
         *render_seen(guess.seen),
-        f"wrote {target}",
+        f"wrote {found.target}",
         f"  time         {time}, a row every {guess.sample_period_s:g} s",
         f"  temperature  {guess.temperature}",
     ]
@@ -289,7 +164,7 @@ def _describe_guess(target: Path, guess: Guess, selectors: dict[str, list[str]])
         for output in guess.outputs
     ]
     lines += [f"  input        {name}: {column}" for name, column in guess.inputs.items()]
-    lines += [f"  {use:<12} {', '.join(files)}" for use, files in selectors.items() if files]
+    lines += [f"  {use:<12} {', '.join(files)}" for use, files in found.selectors.items() if files]
     lines += [f"check: {check}" for check in guess.checks]
     begin = "mend what the logs do not allow yet, then " if guess.refused else ""
     return "\n".join([*lines, f"next: {begin}zerodrift compare"])

@@ -1,45 +1,22 @@
 """`zerodrift monitor`: the deployed model against new logs, and whether it still holds."""
 
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.errors import CheckError
 from zerodrift.cli.common import (
+    as_request,
     directory_option,
     json_option,
-    packed,
     print_notes,
     print_result,
     sensor_option,
     skip_invalid_option,
 )
 from zerodrift.cli.console import open_console, open_table, show_progress
-
-if TYPE_CHECKING:
-    from zerodrift.field.summary import MonitorResult
-
-STANDARD_INPUT = "-"
-COMMAND_MARK = "command:"
-
-
-@dataclass(frozen=True)
-class MonitorOptions:
-    """The options of `monitor`."""
-
-    sensor: str | None
-    block: Path | None
-    loads: tuple[str, ...]
-    when: str | None
-    alarms_per_unit_month: float
-    learn_days: float
-    block_hours: float
-    state: Path | None
-    metrics: Path | None
-    reset: bool
-    every_s: float
+from zerodrift.field.summary import MonitorResult
+from zerodrift.tasks.watched import MonitorRequest, list_texts, monitor_unit
 
 
 @click.command()
@@ -113,14 +90,8 @@ class MonitorOptions:
 )
 @json_option
 @skip_invalid_option
-@packed(MonitorOptions)
-def command(
-    sources: tuple[str, ...],
-    directory: Path,
-    as_json: bool,
-    skip_invalid: bool,
-    options: MonitorOptions,
-) -> None:
+@as_request(MonitorRequest)
+def command(request: MonitorRequest, as_json: bool) -> None:
     """Hold the model of the last `firmware`, with the unit's block, against new logs of its unit.
 
     LOG is a file as [logs] names them; SOURCE is - (CSV on standard input) or "command:CMD" (CSV
@@ -129,48 +100,8 @@ def command(
 
     Exit code 1: an alarm stands. The state goes on from call to call; another model begins anew.
     """
-    from zerodrift.base.lock import lock_project
-    from zerodrift.field.metrics import write_metrics
-    from zerodrift.field.state import save_state
-    from zerodrift.tasks.known_units import find_known
-    from zerodrift.tasks.monitor import Monitor
-    from zerodrift.tasks.watched import enter, live_chunks, open_deployed, open_state
-
-    if not sources:
-        raise InputError("nothing to read; expected a log, - or command:CMD. Name one.")
-    deployed, place, notes = open_deployed(directory, options)
-    with lock_project(place.parent):
-        state, more = open_state(place, deployed, options)
-        notes = (*notes, *more)
-        monitor = Monitor(deployed, state)
-
-        def look() -> "MonitorResult":
-            with show_progress("testing") as say:
-                told = monitor.judge(say)
-                if monitor.wants_name:
-                    say("trying the other units of the design")
-                    known, more = find_known(directory, deployed, in_fleet=bool(options.sensor))
-                    told = replace(told, other_unit=monitor.seek(known), notes=(*told.notes, *more))
-            save_state(place, monitor.state)
-            if options.metrics is not None:
-                write_metrics(options.metrics, (told,))
-            return told
-
-        for source in sources:
-            if source == STANDARD_INPUT or source.startswith(COMMAND_MARK):
-                for chunk in live_chunks(source.removeprefix(COMMAND_MARK), deployed, options):
-                    monitor.read(chunk, skip_invalid=skip_invalid, overlap=True)
-                    _tell_live(look())
-                continue
-            if not Path(source).exists():
-                raise InputError(
-                    f"{source}: there is no such log; expected a file or folder, - or command:CMD."
-                )
-            with show_progress(f"reading {Path(source).name}"):
-                monitor.read(Path(source), skip_invalid=skip_invalid)
-        told = look()
-        entered = enter(directory, deployed, told, monitor.state.logs)
-        told = replace(told, notes=(*notes, *told.notes, *entered))
+    with show_progress() as progress:
+        told = monitor_unit(request, progress)
     if as_json:
         print_result(told)
     else:
@@ -183,23 +114,7 @@ def command(
         raise CheckError("; ".join(texts) + ".")
 
 
-def _list_texts(told: "MonitorResult") -> list[str]:
-    """Return what is told of the outputs, those of which the same is told together."""
-    outputs: dict[str, list[str]] = {}
-    for name, output in told.outputs.items():
-        outputs.setdefault(output.text, []).append(name)
-    return [f"{', '.join(names)}: {text}" for text, names in outputs.items()]
-
-
-def _tell_live(told: "MonitorResult") -> None:
-    """Print the present state of a live source on stderr."""
-    texts = _list_texts(told)
-    if told.other_unit is not None:
-        texts.append(told.other_unit.text)
-    click.echo(f"{told.steps_in_all} steps; {'; '.join(texts)}", err=True)
-
-
-def _print(told: "MonitorResult") -> None:
+def _print(told: MonitorResult) -> None:
     console = open_console()
     table = open_table(
         f"{told.sensor}: {told.steps} steps read, {told.steps_in_all} in all",
@@ -221,7 +136,7 @@ def _print(told: "MonitorResult") -> None:
         )
     for text, count in told.flags.items():
         console.print(f"flag at {count} of {told.steps} steps: {text}")
-    for text in _list_texts(told):
+    for text in list_texts(told):
         console.print(text)
     if told.other_unit is not None:
         console.print(f"{told.sensor}: {told.other_unit.text}")

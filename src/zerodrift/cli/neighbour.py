@@ -1,38 +1,24 @@
 """`zerodrift neighbour`: the model in the forms that PX4, ArduPilot and chrony take."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from zerodrift.cli.common import (
+    as_request,
     directory_option,
     json_option,
-    packed,
     print_notes,
     print_result,
     sensor_option,
 )
 from zerodrift.cli.console import open_console, open_table, show_progress
-
-NAMES = (
-    *("px4-accel", "px4-gyro", "px4-baro", "ardupilot-accel", "ardupilot-gyro"),
-    *("chrony", "chrony-points", "polynomial"),
-)
-
-
-@dataclass(frozen=True)
-class NeighbourOptions:
-    """The options of `neighbour`."""
-
-    outputs: tuple[str, ...]
-    device: int | None
-    order: int
-    out: Path | None
+from zerodrift.field.neighbours import KINDS
+from zerodrift.tasks.neighbour import NeighbourRequest, write_neighbour
 
 
 @click.command()
-@click.argument("kind", type=click.Choice(NAMES))
+@click.argument("kind", type=click.Choice(tuple(KINDS)))
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path, exists=True))
 @directory_option
 @sensor_option
@@ -64,56 +50,23 @@ class NeighbourOptions:
     help="The file to be written (default: a name for each kind, in the current directory).",
 )
 @json_option
-@packed(NeighbourOptions)
-def command(
-    kind: str,
-    logs: tuple[Path, ...],
-    directory: Path,
-    sensor: str | None,
-    as_json: bool,
-    options: NeighbourOptions,
-) -> None:
+@as_request(NeighbourRequest)
+def command(request: NeighbourRequest, as_json: bool) -> None:
     """Write the model of the last `firmware` as another program takes it, and what it loses.
 
     They take a polynomial in the temperature and nothing else: memory, load and other inputs are
     lost. The loss is stated in the sensor's unit against the full model, over LOG... (default:
     those of [logs]) and over the calibrated range.
     """
-    from zerodrift.base.errors import InputError
-    from zerodrift.base.files import write_whole
-    from zerodrift.field.neighbours import KINDS
-    from zerodrift.field.summary import NeighbourResult
-    from zerodrift.tasks.applied_model import open_applied
-    from zerodrift.tasks.neighbours import render_neighbour
-    from zerodrift.tasks.project import open_config
-    from zerodrift.tasks.watched import load_nothing
-
-    config = open_config(directory, sensor)
-    applied = open_applied(config, load_logs=load_nothing)
-    place = options.out if options.out is not None else Path(KINDS[kind].file)
-    if place.exists() and "written by zerodrift" not in place.read_text("utf-8", "replace")[:200]:
-        raise InputError(
-            f"{place}: is there and was not written by `zerodrift neighbour`; expected a new file."
-            " Move it, or name another by --out."
-        )
-    with show_progress("reading") as say:
-        told = render_neighbour(
-            config,
-            applied.model,
-            kind,
-            outputs=options.outputs,
-            device=options.device,
-            order=options.order,
-            logs=logs,
-            say=say,
-        )
-    write_whole(place, told.text.encode())
+    with show_progress("reading") as progress:
+        found = write_neighbour(request, progress)
+    told = found.result
     if as_json:
-        print_result(NeighbourResult(kind, applied.model.hash, str(place), told.lost, told.notes))
+        print_result(told)
         return
-    print_notes((*applied.notes, *told.notes))
+    print_notes(found.notes)
     table = open_table(
-        f"{kind}: lost against the full model",
+        f"{told.kind}: lost against the full model",
         ("output", "unit"),
         ("RMS, logs", "worst, logs", "RMS, range", "worst, range", "RMS drift, range"),
     )
@@ -122,4 +75,4 @@ def command(
         table.add_row(name, one.unit, *("-" if v is None else f"{v:.3g}" for v in values))
     console = open_console()
     console.print(table)
-    console.print(f"wrote {place}")
+    console.print(f"wrote {told.file}")

@@ -1,17 +1,16 @@
 """`zerodrift plan`: the next experiment, computed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypedDict, Unpack
 
 import click
+from rich.console import Console
 
 from zerodrift.base.errors import InputError
 from zerodrift.cli.common import (
     directory_option,
     json_option,
-    packed,
     print_notes,
     print_result,
     sensor_option,
@@ -19,29 +18,23 @@ from zerodrift.cli.common import (
     trust_option,
 )
 from zerodrift.cli.console import open_console, open_table, show_progress
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from zerodrift.report.results import PlanResult
+from zerodrift.discovery.summary import explain_plan
+from zerodrift.report.results import PlanResult
+from zerodrift.tasks.plan import PlanRequest, plan
+from zerodrift.tasks.project import ProjectFolder
 
 MOST_LISTED = 40
 """Lines of the programme that are printed; the file has all."""
 
 
-@dataclass(frozen=True)
-class PlanOptions:
-    """The options of `plan`; the command's help explains each."""
+class PlanOptions(TypedDict):
+    """Those that the request takes as they are."""
 
-    sensor: str | None
     hours: float | None
     within: str | None
-    between: tuple[tuple[str, str], ...]
-    target: str | None
-    budget: float
+    budget_s: float
     criterion: str
     profile: str | None
-    units: int | None
     file: Path | None
     picture: Path | None
 
@@ -91,6 +84,7 @@ class PlanOptions:
 )
 @click.option(
     "--budget",
+    "budget_s",
     type=click.FloatRange(1.0, 3600.0),
     default=60.0,
     show_default=True,
@@ -112,8 +106,16 @@ class PlanOptions:
 @trust_option
 @json_option
 @skip_invalid_option
-@packed(PlanOptions)
-def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOptions) -> None:
+def command(
+    directory: Path,
+    sensor: str | None,
+    between: tuple[tuple[str, str], ...],
+    target: str | None,
+    units: int | None,
+    as_json: bool,
+    skip_invalid: bool,
+    **options: Unpack[PlanOptions],
+) -> None:
     """Plan the next experiment: temperatures, loads and inputs over time.
 
     Each explanation that is still open is simulated through programmes within the limits, with
@@ -121,49 +123,21 @@ def command(directory: Path, as_json: bool, skip_invalid: bool, options: PlanOpt
     programme is chosen that makes the right verdict of `diagnose` most probable. It works before
     the first log too.
     """
-    from zerodrift.dataset.load import load_dataset
-    from zerodrift.discovery.files import list_protocols, write_plan
-    from zerodrift.discovery.plan import HOURS, Question
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.tasks.plan import find_plan, has_logs, keep_plan, load_limits
-    from zerodrift.tasks.project import open_config
-    from zerodrift.tasks.trust import require_trust
-
-    if options.file is not None and options.file.suffix != ".csv":
-        raise InputError(f"--out {options.file}: expected a name that ends in .csv.")
-    if options.picture is not None and options.picture.suffix != ".html":
-        raise InputError(f"--picture {options.picture}: expected a name that ends in .html.")
-    with show_progress("reading logs") as say:
-        config = load_limits(open_config(directory, options.sensor), options.within)
-        require_trust(config.plugin_files, directory)
-        dataset = load_dataset(config, skip_invalid) if has_logs(config) else None
-        question = Question(
-            hours=options.hours or config.experiment.hours or HOURS,
-            between=join_pairs(options.between),
-            target=read_target(options.target),
-            budget_s=options.budget,
-            criterion=options.criterion,
-            profile=options.profile,
-            units=options.units or 0,
-        )
-        catalogue = load_catalogue(config.plugin_files)
-        planned, plan = find_plan(config, dataset, catalogue, question, say)
-    keep_plan(config, plan, 0 if dataset is None else len({run.group for run in dataset.train}))
-    if options.file is not None:
-        protocols = list_protocols(planned.programme, planned.limits, plan.units)
-        plan = write_plan(plan, protocols, options.file)
-    if options.picture is not None:
-        from zerodrift.base.files import write_whole
-        from zerodrift.report.figures_plan import draw_plan
-        from zerodrift.report.page import render_page
-
-        page = render_page("The next experiment", [draw_plan(plan)])
-        write_whole(options.picture, page.encode())
-    print_notes((*(dataset.notes if dataset is not None else ()), *plan.notes))
+    project = ProjectFolder(directory, sensor, skip_invalid)
+    request = PlanRequest(
+        project,
+        between=join_pairs(between),
+        target=read_target(target),
+        units=units or 0,
+        **options,
+    )
+    with show_progress() as progress:
+        found = plan(request, progress)
+    print_notes(found.notes)
     if as_json:
-        print_result(plan)
-        return
-    print_plan(plan, directory)
+        print_result(found.result)
+    else:
+        print_plan(found.result, directory)
 
 
 def join_pairs(pairs: Sequence[tuple[str, str]]) -> tuple[str, ...]:
@@ -189,10 +163,8 @@ def read_target(text: str | None) -> float | None:
     return share
 
 
-def print_plan(plan: "PlanResult", directory: Path) -> None:
+def print_plan(plan: PlanResult, directory: Path) -> None:
     """Print the programme, what it is expected to decide, and both in sentences."""
-    from zerodrift.discovery.summary import explain_plan
-
     console = open_console()
     loads = list(dict.fromkeys(name for s in plan.programme for name in s.loads))
     inputs = list(dict.fromkeys(name for s in plan.programme for name in s.inputs))
@@ -232,7 +204,7 @@ def print_plan(plan: "PlanResult", directory: Path) -> None:
         console.print(f"Wrote {', '.join(plan.files)}", soft_wrap=True)
 
 
-def _print_outlooks(plan: "PlanResult", console: "Console") -> None:
+def _print_outlooks(plan: PlanResult, console: Console) -> None:
     table = open_table(
         "If this one is missing", ("effect", "hardest to tell from"), ("named alone", "range")
     )

@@ -1,42 +1,34 @@
 """`zerodrift record`: a log from a live source, and what it still has to cover."""
 
-import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import click
 
-from zerodrift.base.errors import InputError
-from zerodrift.base.progress import is_watched, open_text_progress
+from zerodrift.base.progress import is_watched
 from zerodrift.base.terminal import open_terminal
-from zerodrift.cli.common import directory_option, json_option, packed, print_result
-from zerodrift.cli.console import open_console, open_table
+from zerodrift.cli.common import directory_option, json_option, print_result
+from zerodrift.cli.console import open_console, open_table, show_progress
+from zerodrift.recording.coverage import Covered, CoveredRange
+from zerodrift.recording.recorder import Show
+from zerodrift.recording.summary import explain_missing
+from zerodrift.report.results import RecordResult
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.recording import RecordRequest, finish, record, use_log
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from zerodrift.recording.coverage import Covered, CoveredRange
-    from zerodrift.recording.recorder import Show
-    from zerodrift.report.results import RecordResult
-
 SHOWN_S = 0.5
 """Between two pictures on the terminal."""
-BUILD = "build"
-LINES = "columns below a header (or --columns), JSON objects, or NAME=VALUE pairs"
-MESSAGES = "messages of ROS 2 or JSON with numbers in them"
 
 
-@dataclass(frozen=True)
-class RecordOptions:
-    """The options of `record`; the command's help explains each."""
+class RecordOptions(TypedDict):
+    """Those that the request takes as they are."""
 
-    out: Path | None
-    recover_file: Path | None
-    used_file: Path | None
     columns: str | None
     dbc: Path | None
     period: float | None
@@ -96,8 +88,15 @@ class RecordOptions:
     help="Name a recorded log under [logs] train of the project.",
 )
 @json_option
-@packed(RecordOptions)
-def command(source: str | None, directory: Path, as_json: bool, options: RecordOptions) -> None:
+def command(
+    source: str | None,
+    directory: Path,
+    out: Path | None,
+    recover_file: Path | None,
+    used_file: Path | None,
+    as_json: bool,
+    **options: Unpack[RecordOptions],
+) -> None:
     """Record a log from SOURCE, showing what it covers and what is still missing.
 
     \b
@@ -112,151 +111,31 @@ def command(source: str | None, directory: Path, as_json: bool, options: RecordO
     stand time_s, since the first row, and clock_s, Unix time, unless the source sends a time. What
     should be covered comes from the last `zerodrift plan`, or from [experiment]. Ctrl-C ends it.
     """
-    if options.recover_file is not None:
-        finish(directory, options.recover_file)
+    if recover_file is not None:
+        click.echo(f"{recover_file}: {finish(directory, recover_file)} rows, whole again")
         return
-    if options.used_file is not None:
-        from zerodrift.tasks.recording import use_log
-
-        name = use_log(directory, options.used_file)
+    if used_file is not None:
+        name = use_log(directory, used_file)
         click.echo(f"zerodrift.toml: [logs] train names {name} now")
         return
-    if source is None or options.out is None:
+    if source is None or out is None:
         raise click.UsageError("expected SOURCE --out FILE, --recover FILE, or --use FILE")
-    result = record(source, directory, options, options.out, as_json)
+    request = RecordRequest(ProjectFolder(directory), source, out, **options)
+    with open_picture(quiet=as_json) as show:
+        result = record(request, show)
     if as_json:
         print_result(result)
     else:
         print_record(result)
 
 
-def finish(directory: Path, log: Path) -> None:
-    """Finish the file of a recording that was cut off, and say so.
-
-    Raises:
-        InputError: there is none, or it is still being recorded.
-    """
-    from zerodrift.recording.keep import recover
-    from zerodrift.recording.status import end_status
-
-    rows = recover(log)
-    end_status(directory / BUILD, log)
-    click.echo(f"{log}: {rows} rows, whole again")
-
-
-def record(
-    source: str, directory: Path, options: RecordOptions, out: Path, as_json: bool
-) -> "RecordResult":
-    """Record until the end; return a summary of the recording.
-
-    Raises:
-        InputError: the source cannot be opened, the file cannot be written, or the options are
-            wrong. Rows recorded before are kept.
-    """
-    from zerodrift.base.config import load_config
-    from zerodrift.recording.coverage import Coverage
-    from zerodrift.recording.keep import Keeper
-    from zerodrift.recording.open_source import open_source
-    from zerodrift.recording.recorder import Recording, RowRules, check_rules
-    from zerodrift.recording.status import telling_status
-    from zerodrift.report.results import RecordResult
-    from zerodrift.tasks.recording import explain_taught, find_wanted, list_read
-
-    config = load_config(directory) if (directory / "zerodrift.toml").is_file() else None
-    wanted = find_wanted(config, options.log)
-    if options.until_enough and not wanted.why:
-        raise InputError(
-            "--until-enough: nothing says what is enough; expected a plan or ranges under "
-            "[experiment]. Run: zerodrift plan"
-        )
-    names = tuple(name.strip() for name in (options.columns or "").split(",") if options.columns)
-    period_s = options.period or (config.sample_period_s if config else 1.0)
-    rules = RowRules(
-        time_column=config.time_column if config else "time_s",
-        period_s=period_s,
-        hold_s=options.hold or 5.0 * period_s,
-        most_s=options.seconds,
-        until_enough=options.until_enough,
-    )
-    check_rules(rules)
-    coverage = Coverage(config.temperature_column if config else "temperature_degC", wanted)
-    began_s = time.monotonic()
-    build = config.build_directory if config else None
-    with (
-        ending_softly() as ending,
-        telling_status(build, out, source, coverage, wanted.why) as telling,
-        Keeper(out) as keeper,
-    ):
-        opened = open_source(source, names, options.dbc, list_read(config))
-        try:
-            recorder = Recording(opened, keeper, coverage, rules)
-            with open_picture(quiet=as_json) as show:
-                interrupted = recorder.run(telling(show), ending.wait_for_it)
-        finally:
-            opened.close()
-    notes = opened.list_strays()
-    if recorder.backwards:
-        notes.append(
-            f"{recorder.backwards} readings were left out: the source's own time ran backwards "
-            "there"
-        )
-    covered = coverage.describe()
-    if not covered.rows:
-        told = f" {'; '.join(notes)}." if notes else ""
-        expected = MESSAGES if opened.has_times else LINES
-        raise InputError(
-            f"{source}: no row came in {time.monotonic() - began_s:.0f} s; expected {expected}."
-            f"{told} No file was written."
-        )
-    return RecordResult(
-        **vars(covered),
-        file=str(out),
-        source=source,
-        interrupted=interrupted,
-        why=wanted.why,
-        notes=tuple(notes),
-        taught=tuple(explain_taught(config, out)) if config else (),
-    )
-
-
-class Ending:
-    """Whether Ctrl-C was pressed, or the system asked to end."""
-
-    def __init__(self) -> None:
-        self._waits = self._asked = False
-
-    def wait_for_it(self) -> bool:
-        """Return whether it was asked for; from the first call on, a signal is no exception."""
-        self._waits = True
-        return self._asked
-
-    def take_signal(self, *_: object) -> None:
-        """Remember that it was asked for; asked again, or before anybody waits, end at once."""
-        if self._asked or not self._waits:
-            raise KeyboardInterrupt
-        self._asked = True
-
-
 @contextmanager
-def ending_softly() -> Iterator[Ending]:
-    """Within this context, Ctrl-C and SIGTERM end a recording between two rows."""
-    ending = Ending()
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(kind, ending.take_signal) for kind in kinds]
-    try:
-        yield ending
-    finally:
-        for kind, handler in zip(kinds, before, strict=True):
-            signal.signal(kind, handler)
-
-
-@contextmanager
-def open_picture(*, quiet: bool) -> Iterator["Show"]:
-    """Yield a function that shows a recording: a table on a terminal, else a line, or nothing."""
+def open_picture(*, quiet: bool) -> Iterator[Show]:
+    """Yield a function that shows a recording: a table on a terminal, else progress."""
     shown_s = 0.0
 
-    def at_times(draw: Callable[["Covered", str], None]) -> "Show":
-        def show(covered: "Covered", silent: str) -> None:
+    def at_times(draw: Callable[[Covered, str], None]) -> Show:
+        def show(covered: Covered, silent: str) -> None:
             nonlocal shown_s
             if time.monotonic() - shown_s >= SHOWN_S:
                 shown_s = time.monotonic()
@@ -272,23 +151,18 @@ def open_picture(*, quiet: bool) -> Iterator["Show"]:
                 lambda covered, silent: live.update(draw_covered(covered, silent), refresh=True)
             )
         return
-    with open_text_progress() as say:
-        if say is None:
-            yield lambda *_: None
-            return
+    with show_progress() as say:
         yield at_times(lambda covered, silent: say(tell_covered(covered, silent)))
 
 
-def tell_covered(covered: "Covered", silent: str) -> str:
+def tell_covered(covered: Covered, silent: str) -> str:
     """Return a recording so far in one line."""
-    from zerodrift.recording.summary import explain_missing
-
     missing = explain_missing(covered)
     parts = [f"{covered.rows} rows, {covered.seconds:.0f} s", silent, *missing[:2]]
     return "; ".join(part for part in parts if part)
 
 
-def draw_covered(covered: "Covered", silent: str) -> "Table":
+def draw_covered(covered: Covered, silent: str) -> "Table":
     """Return a recording so far as a table of wanted and covered ranges."""
     title = f"{covered.rows} rows, {covered.seconds:.0f} s" + (f"; {silent}" if silent else "")
     if covered.enough:
@@ -311,7 +185,7 @@ def draw_covered(covered: "Covered", silent: str) -> "Table":
     return table
 
 
-def write_wanted(one: "CoveredRange | None") -> tuple[str, str]:
+def write_wanted(one: CoveredRange | None) -> tuple[str, str]:
     """Return the wanted range and the share of it that is covered, as text."""
     if one is None:
         return "", ""
@@ -324,10 +198,8 @@ def write_number(value: float | None) -> str:
     return "-" if value is None else f"{value:.7g}"
 
 
-def print_record(result: "RecordResult") -> None:
+def print_record(result: RecordResult) -> None:
     """Print what was recorded, what is still missing, and what can now be learnt from the logs."""
-    from zerodrift.recording.summary import explain_missing
-
     console = open_console()
     for note in result.notes:
         click.echo(f"note: {note}", err=True)

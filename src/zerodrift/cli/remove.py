@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 
 from zerodrift.base.errors import InputError
+from zerodrift.cli.add import print_revision
 from zerodrift.cli.common import (
-    changes_project,
     directory_option,
     json_option,
     print_notes,
@@ -14,6 +14,9 @@ from zerodrift.cli.common import (
     sensor_option,
     skip_invalid_option,
 )
+from zerodrift.cli.console import open_console, show_progress
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.revise import RemoveRequest, remove
 
 
 @click.command()
@@ -29,7 +32,6 @@ from zerodrift.cli.common import (
 )
 @json_option
 @skip_invalid_option
-@changes_project
 def command(
     effect: str,
     directory: Path,
@@ -42,26 +44,18 @@ def command(
 
     The effect is removed in any case; the history says whether the held-out error grew.
     """
-    from zerodrift.cli.console import open_console, show_progress
-    from zerodrift.diagnosis.revision import summarise_revision
-    from zerodrift.physics.catalogue import load_catalogue
-    from zerodrift.report.results import RemoveResult
-    from zerodrift.tasks.project import open_project, tell_design
-    from zerodrift.tasks.revise import print_revision, remove_from_project
-
-    signal = _read_signal(options)
-    with show_progress("reading logs") as say:
-        config, dataset = open_project(directory, skip_invalid, sensor)
-        catalogue = load_catalogue(config.plugin_files)
-        revision = remove_from_project(config, dataset, catalogue, effect, signal, say)
-    print_notes((*dataset.notes, *tell_design(config, sensor)))
+    project = ProjectFolder(directory, sensor, skip_invalid)
+    with show_progress() as progress:
+        found = remove(RemoveRequest(project, effect, _read_signal(options)), progress)
+    print_notes(found.notes)
     if as_json:
-        print_result(RemoveResult(**vars(summarise_revision(revision))))
+        print_result(found.result)
         return
-    print_revision(revision)
+    print_revision(found.revision)
+    reason = found.revision.reason
     open_console().print(
-        f"{revision.reason[0].upper()}{revision.reason[1:]}. Removed {effect} from "
-        f"{config.path.name}; zerodrift add {effect} brings it back."
+        f"{reason[0].upper()}{reason[1:]}. Removed {effect} from "
+        f"{project.config.path.name}; zerodrift add {effect} brings it back."
     )
 
 

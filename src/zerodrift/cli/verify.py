@@ -1,25 +1,24 @@
 """`zerodrift verify`: the files of the firmware folder and of build/, against the model."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.cli.common import (
     directory_option,
+    is_trusted,
     json_option,
     print_result,
     sensor_option,
     trust_option,
 )
-from zerodrift.tasks.trust import is_trusted, require_code
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from zerodrift.base.config import Config
-    from zerodrift.verify.replay import Replay
+from zerodrift.cli.console import show_progress
+from zerodrift.report.results import CertificateResult, ProofResult
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.verify import VerifyRequest, check_folder, prove, verify
+from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
+from zerodrift.verify.replay import Replay
 
 
 @click.command()
@@ -80,26 +79,23 @@ def command(
     claim of the certificate does not hold, a core of --require was not checked, or with --prove
     something is not proven.
     """
-    from zerodrift.base.journal import read_together
-    from zerodrift.cli.console import show_progress
-    from zerodrift.tasks.project import open_config, refuse_shared_program
-    from zerodrift.verify.replay import replay
-
     if elf is not None and not proves:
         raise InputError("--elf goes with --prove: `zerodrift verify --prove --elf FILE`")
-    refuse_shared_program(directory, sensor)
-    config = open_config(directory, sensor)
+    request = VerifyRequest(ProjectFolder(directory, sensor), required, is_trusted(), elf)
+    with show_progress() as progress:
+        if proves:
+            proof = prove(request, progress)
+        elif certificate:
+            claims = check_folder(request, progress)
+        else:
+            outcome = verify(request, progress)
+    folder = request.project.config.firmware_out
     if proves:
-        _prove(config, as_json, elf)
+        _print_proof(proof, folder, as_json)
         return
     if certificate:
-        _check_certificate(config.firmware_out, as_json)
+        _print_claims(claims, folder / CERTIFICATE, as_json)
         return
-    folders = (config.build_directory, config.firmware_out)
-    with show_progress("verifying") as say:
-        outcome = read_together(
-            directory, folders, lambda: replay(config, say, required, consent=_Consent(config))
-        )
     if as_json:
         print_result(outcome.summarise())
     outcome.require(required)
@@ -107,18 +103,7 @@ def command(
         _print(outcome)
 
 
-class _Consent:
-    """What the user agrees to have built and run; see `zerodrift.verify.replay.Consent`."""
-
-    def __init__(self, config: "Config") -> None:
-        self.despite_changes = is_trusted()
-        self._folder = config.firmware_out
-
-    def require(self, texts: "Mapping[str, str]") -> None:
-        require_code(texts, self._folder)
-
-
-def _print(outcome: "Replay") -> None:
+def _print(outcome: Replay) -> None:
     if outcome.bit_exact:
         click.echo(
             f"bit-exact: {outcome.vectors} steps on the host, the golden vectors on"
@@ -135,53 +120,27 @@ def _print(outcome: "Replay") -> None:
         click.echo(f"NOT CHECKED: {missing.what}: {missing.why}")
 
 
-def _prove(config: "Config", as_json: bool, elf: Path | None) -> None:
-    """Print what is proven of the C, part by part, and of a program; needs the model's file and
-    the firmware folder."""
-    from zerodrift.base.errors import InputError
-    from zerodrift.blocks.design import FILE_NAME as DESIGN
+def _print_proof(proof: ProofResult, folder: Path, as_json: bool) -> None:
+    """Print what is proven of the C, and what is only tested."""
+    from zerodrift.verify.checkers import OPEN, TESTED  # zerodrift-proof may be missing
 
-    if (config.firmware_out / DESIGN).is_file():
-        raise InputError(
-            f"{config.firmware_out / DESIGN}: the numbers of this C lie in a block, which --prove"
-            " does not read yet. `zerodrift verify` compares bits with the block in place, and"
-            " `zerodrift verify --certificate` shows that no block that the chip accepts overflows."
-        )
-    from zerodrift.cli.console import show_progress
-    from zerodrift.export.model_files import load_model
-    from zerodrift.report.results import ProofResult, ProvenPart
-    from zerodrift.verify.checkers import OPEN, SYSTEM, TESTED, is_proven
-    from zerodrift.verify.proof import prove_model
-    from zerodrift.verify.replay import read_code
-
-    model = load_model(config.build_directory / "model.json")
-    code = read_code(model, config.firmware_out)
-    texts = {code.header_name: code.header, code.source_name: code.source, **(code.runtime or {})}
-    # a compiler that searches the folder first would take these for C's own
-    hiding = {name: "" for name in SYSTEM if (config.firmware_out / name).exists()}
-    with show_progress("proving") as say:
-        shown = prove_model(model, texts | hiding, say, elf)
-    proven = is_proven(shown)
     if as_json:
-        parts = tuple(ProvenPart(one.what, one.build, one.verdict, one.why) for one in shown)
-        print_result(ProofResult(proven, model.hash, parts))
-    else:
-        for one in shown:
-            if one.verdict == TESTED:
-                click.echo(f"TESTED, NOT PROVEN: {_name(one.what, one.build)}{_because(one.why)}")
-    if not proven:
-        left = [one for one in shown if one.verdict == OPEN]
+        print_result(proof)
+    tested = [one for one in proof.parts if one.verdict == TESTED]
+    for one in () if as_json else tested:
+        click.echo(f"TESTED, NOT PROVEN: {_name(one.what, one.build)}{_because(one.why)}")
+    if not proof.proven:
+        left = [one for one in proof.parts if one.verdict == OPEN]
         lines = "\n  ".join(f"{_name(one.what, one.build)}: {one.why}" for one in left)
         raise CheckError(
-            f"{config.firmware_out}: {len(left)} of {len(shown)} parts of the C are not proven to"
+            f"{folder}: {len(left)} of {len(proof.parts)} parts of the C are not proven to"
             f" be what the model says:\n  {lines}\nRun `zerodrift verify`, which compares bits; if"
             " that fails too, do not flash this C."
         )
     if not as_json:
-        count = sum(one.verdict != TESTED for one in shown)
         click.echo(
-            f"proven: {count} parts of C and object code compute what the specification says of"
-            f" model {model.hash[:12]}, for every input and state"
+            f"proven: {len(proof.parts) - len(tested)} parts of C and object code compute what the"
+            f" specification says of model {proof.model_hash[:12]}, for every input and state"
         )
 
 
@@ -193,30 +152,18 @@ def _name(what: str, build: str) -> str:
     return f"{what} ({build})" if build else what
 
 
-def _check_certificate(folder: Path, as_json: bool) -> None:
-    """Print which claims hold; needs nothing but the firmware folder."""
-    from zerodrift.cli.console import show_progress
-    from zerodrift.report.results import CertificateResult
-    from zerodrift.verify.certificate import FILE_NAME
-    from zerodrift.verify.checkers import check_certificate
-
-    if not (folder / FILE_NAME).is_file():
-        raise InputError(
-            f"{folder / FILE_NAME}: there is no certificate. Run `zerodrift firmware`."
-        )
-    with show_progress("deriving every bound again from the C"):
-        outcome = check_certificate(folder)
+def _print_claims(told: CertificateResult, file: Path, as_json: bool) -> None:
+    """Print which claims of a certificate hold."""
     if as_json:
-        word = "refused" if outcome.failures else "holds"
-        print_result(CertificateResult(word, outcome.holds, tuple(outcome.failures)))
-    if outcome.failures:
-        lines = "\n  ".join(outcome.failures)
+        print_result(told)
+    if told.failures:
+        lines = "\n  ".join(told.failures)
         raise CheckError(
-            f"{folder / FILE_NAME} is refused; {outcome.holds} claims hold, these do not:\n"
+            f"{file} is refused; {told.claims_that_hold} claims hold, these do not:\n"
             f"  {lines}\nDo not flash this C; run `zerodrift firmware` again."
         )
     if not as_json:
         click.echo(
-            f"certificate holds: {outcome.holds} bounds and shifts derived again from the C alone,"
-            " for any input"
+            f"certificate holds: {told.claims_that_hold} bounds and shifts derived again from the C"
+            " alone, for any input"
         )

@@ -1,5 +1,6 @@
 """Everything declared about an effect, as `effects --json` prints it and the page shows it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from zerodrift.physics.effect import Effect
@@ -70,3 +71,16 @@ def describe_effect(effect: Effect) -> EffectDescription:
             for p in effect.parameters
         ),
     )
+
+
+def write_values(effect: Effect, values: Mapping[str, float]) -> str:
+    """Return fitted values with their units."""
+    return ", ".join(
+        f"{name} {value:.4g} {_write_unit(effect.parameter(name).unit)}".rstrip()
+        for name, value in values.items()
+    )
+
+
+def _write_unit(unit: str) -> str:
+    """Return a unit for print; plain numbers have none."""
+    return "" if unit == "1" else unit

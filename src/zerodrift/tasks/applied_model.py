@@ -9,16 +9,19 @@ from polars.exceptions import PolarsError
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.selectors import CSV_SUFFIXES, PARQUET_SUFFIXES
 from zerodrift.export.compose import describe_compensator
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.report.results import ApplyResult
 from zerodrift.tasks.applied_rows import FLAGS
-from zerodrift.tasks.apply import PredictFloat
+from zerodrift.tasks.apply import PredictFloat, apply_model
 from zerodrift.tasks.built import read_uncertainty
 from zerodrift.tasks.deployed_block import find_deployed_block
+from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.tasks.trust import require_trust
 from zerodrift.train.compensator import DESCRIPTION, Compensator
 from zerodrift.train.prepare import mark_inputs
@@ -26,6 +29,20 @@ from zerodrift.verify.manifest import check_manifest
 from zerodrift.verify.uncertainty import Uncertainty
 
 KINDS = INTEGER, FLOAT = ("integer", "float")
+
+
+@dataclass(frozen=True)
+class ApplyRequest:
+    """Which logs the model is applied to."""
+
+    project: ProjectFolder
+    logs: tuple[Path, ...]
+    out: Path | None = None
+    """File, or a directory for several logs; None: LOG_compensated in the current directory."""
+    kind: str = INTEGER
+    """integer | float."""
+    block: Path | None = None
+    """The block on the unit; None: as the registry says, else the one written last."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +57,46 @@ class AppliedModel:
     """Why there is no uncertainty, what has changed since the firmware was built, which block."""
 
 
+def apply_to_logs(request: ApplyRequest, progress: Progress = SILENT) -> ApplyResult:
+    """Run the model of the last `firmware` over logs, and write what it gives for every row.
+
+    Raises:
+        InputError: no firmware was built, a log cannot be read, or a file would be overwritten.
+    """
+    project = request.project
+    config = project.config
+    several = len(request.logs) > 1
+    pairs = [(log, choose_file(log, request.out, several)) for log in request.logs]
+    refuse_taken(pairs)
+    whole = ProjectFolder(project.directory, project.sensor)  # no row of its own logs is left out
+    opened = open_applied(
+        config,
+        request.kind,
+        load_logs=lambda: open_project(whole, progress)[1],
+        block=request.block,
+        progress=progress,
+    )
+    progress("applying")
+    applied = apply_model(
+        config,
+        opened.model,
+        pairs,
+        uncertainty=opened.uncertainty,
+        predict_float=opened.predict_float,
+        skip_invalid=project.skip_invalid,
+        say=progress,
+    )
+    stated = opened.uncertainty.state() if opened.uncertainty is not None else None
+    return ApplyResult(request.kind, opened.model.hash, tuple(applied), opened.notes, stated)
+
+
 def open_applied(
     config: Config,
     kind: str = INTEGER,
     *,
     load_logs: Callable[[], Dataset],
     block: Path | None = None,
+    progress: Progress = SILENT,
 ) -> AppliedModel:
     """Return the model of a project's last `firmware`; of a block design, with the unit's block.
 
@@ -54,6 +105,7 @@ def open_applied(
         kind: integer | float.
         load_logs: returns the project's logs, which the float model needs.
         block: the block on the unit; None: as the registry says, else the one written last.
+        progress: asks whether the project's effects may be run, which the float model needs.
 
     Raises:
         InputError: no firmware was built yet, it or the float model has other outputs, there is no
@@ -71,7 +123,7 @@ def open_applied(
     notes = [*([why] if why else []), *(f.text for f in check_manifest(config).findings)]
     predict = None
     if kind == FLOAT:
-        require_trust(config.plugin_files, config.directory)
+        require_trust(config.plugin_files, config.directory, progress)
         dataset = load_logs()
         catalogue = load_catalogue(config.plugin_files)
         trained = Compensator.load(config.build_directory, catalogue)
@@ -96,6 +148,11 @@ def open_applied(
             refuse_other(config, model, str(block or on_chip.note))
             notes.append(on_chip.note)
     return AppliedModel(model, uncertainty, predict, tuple(notes))
+
+
+def load_nothing() -> Dataset:
+    """Take the place of a project's logs, which the integer model does not need."""
+    raise AssertionError("the integer model needs no logs")
 
 
 def refuse_other(config: Config, model: IntegerModel, where: str) -> None:

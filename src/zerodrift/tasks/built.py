@@ -9,6 +9,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.files import NOT_THERE
 from zerodrift.base.records import Json, from_json
 from zerodrift.base.sealed import read_sealed
+from zerodrift.verify.manifest import check_manifest
 from zerodrift.verify.summary import (
     REFUSED,
     CertificateSummary,
@@ -17,10 +18,10 @@ from zerodrift.verify.summary import (
     Refusal,
     StatedUncertainty,
 )
+from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
 
 if TYPE_CHECKING:
     from zerodrift.verify.checkers import CertificateClaims
-    from zerodrift.verify.uncertainty import Uncertainty
 
 FIRMWARE, CERTIFICATE = "firmware.json", "certificate.json"
 TIGHTEST = 8
@@ -73,8 +74,6 @@ def _read_written(
     kept = read_kept(config.build_directory / FIRMWARE)
     if kept is None:
         return None, None, "No firmware was built yet: `zerodrift firmware` builds and checks it."
-    from zerodrift.verify.manifest import check_manifest
-
     check = check_manifest(config)
     if check.manifest is None or check.findings:
         reasons = [f.text for f in check.findings] or [n.why for n in check.not_checked]
@@ -93,10 +92,8 @@ def _read_written(
     return firmware, certificate, note
 
 
-def load_uncertainty(folder: Path, model_hash: str) -> "Uncertainty | None":
+def load_uncertainty(folder: Path, model_hash: str) -> Uncertainty | None:
     """Return the uncertainty of a model that lies in a folder; None without a sound one of it."""
-    from zerodrift.verify.uncertainty import FILE_NAME, Uncertainty
-
     kept = read_kept(folder / FILE_NAME)
     if kept is None:
         return None
@@ -107,7 +104,7 @@ def load_uncertainty(folder: Path, model_hash: str) -> "Uncertainty | None":
     return found if found.model_hash == model_hash else None
 
 
-def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | None, str]":
+def read_uncertainty(config: Config, model_hash: str) -> tuple[Uncertainty | None, str]:
     """Return the uncertainty of a model, or None and why there is none.
 
     Every command states this one.
@@ -116,8 +113,6 @@ def read_uncertainty(config: Config, model_hash: str) -> "tuple[Uncertainty | No
         config: the project.
         model_hash: of the integer model.
     """
-    from zerodrift.verify.uncertainty import FILE_NAME
-
     path = config.build_directory / FILE_NAME
     found = load_uncertainty(config.build_directory, model_hash)
     if found is not None:
@@ -153,15 +148,13 @@ def _find_unit_hash(config: Config) -> str:
     """
     if config.unit_build is None:
         return ""
-    from zerodrift.verify.manifest import check_manifest
-
     check = check_manifest(config)
     return "" if check.manifest is None or check.findings else check.manifest.model_hash
 
 
 def read_certificate(path: Path, model_hash: str) -> tuple[CertificateSummary | None, str]:
     """Return the summary of a model's certificate.json, or None and why it is not shown."""
-    from zerodrift.verify.checkers import read_claims
+    from zerodrift.verify.checkers import read_claims  # zerodrift-proof may be missing
 
     try:
         claims = read_claims(json.loads(path.read_text(encoding="utf-8")))

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.config import Config
+from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.records import from_json
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, name_columns, read_log_steps
@@ -21,6 +22,7 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.summary import ModelSummary, summarise_model
 from zerodrift.report.results import DiffResult, ModelChange, OutputDifference
 from zerodrift.tasks.apply import Chip, answer
+from zerodrift.tasks.trust import require_trust
 from zerodrift.train.compensator import DESCRIPTION, Compensator
 from zerodrift.verify.firmware import EFFECTS, MODEL
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
@@ -34,6 +36,46 @@ SPEED = 0.5
 """Of the sweep, as a share of the slower model's calibrated rate."""
 HOLDS = (0.0, 1.0, 0.0, -1.0, 0.0)
 """Places in the calibrated range at which the sweep rests: middle, top, middle, bottom, middle."""
+
+
+@dataclass(frozen=True)
+class DiffRequest:
+    """Which two models are compared, and over what."""
+
+    old: Path
+    """A project, a firmware folder or a model.json; so is `new`."""
+    new: Path
+    logs: tuple[Path, ...] = ()
+    """None: the calibrated range that both have."""
+    directory: Path | None = None
+    """The project whose zerodrift.toml says how logs are read; None: NEW's, else OLD's."""
+    limit_pct_fs: float | None = None
+    """Share of full scale, in percent, that no drift may differ by."""
+    skip_invalid: bool = False
+
+
+def diff(request: DiffRequest, progress: Progress = SILENT) -> DiffResult:
+    """Return what changed from one model to another, and by how much their drifts differ.
+
+    Raises:
+        InputError: a model or a log cannot be read, or their outputs or inputs are not the same.
+    """
+    place = request.directory or find_project(request.new) or find_project(request.old)
+    config = load_config(place) if place is not None else None
+    plugins = config.plugin_files if config is not None else ()
+    if place is not None:
+        require_trust(plugins, place, progress)
+    before, after = (open_model(path, plugins) for path in (request.old, request.new))
+    progress("comparing")
+    return diff_models(
+        before,
+        after,
+        config=config,
+        logs=request.logs,
+        limit_pct_fs=request.limit_pct_fs,
+        skip_invalid=request.skip_invalid,
+        say=progress,
+    )
 
 
 @dataclass(frozen=True)

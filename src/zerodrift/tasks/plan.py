@@ -1,8 +1,7 @@
-"""Plans the next experiment of a project; used by the command and by the Python face."""
+"""The next experiment of a project, computed."""
 
 import json
 import tomllib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,16 +9,21 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.experiment_config import read_experiment
 from zerodrift.base.files import write_whole
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.toml_lines import index_lines
 from zerodrift.base.toml_table import TomlTable
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.selectors import NoLogsError, expand_selectors
-from zerodrift.discovery.plan import Planned, Question, plan_experiment, refuse_alike
+from zerodrift.diagnosis.diagnose import diagnose
+from zerodrift.discovery.files import list_protocols, write_plan
+from zerodrift.discovery.plan import HOURS, Planned, Question, plan_experiment, refuse_alike
 from zerodrift.discovery.precise import PlannedPrecisely, plan_precisely
 from zerodrift.discovery.summary import PastPlan, summarise_plan, summarise_precise
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.report.results import PlanResult
+from zerodrift.tasks.project import ProjectFolder
+from zerodrift.tasks.trust import require_trust
 
 KEPT = "plan.json"
 """In build/: the last plan, to be compared with what came of it."""
@@ -31,6 +35,84 @@ class KeptPlan:
 
     runs: int
     plan: PlanResult
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """Which experiment is wanted; `discovery.plan.Question` says what each means."""
+
+    project: ProjectFolder
+    hours: float | None = None
+    """How long it may take; None: [experiment] hours, or 8."""
+    between: tuple[str, ...] = ()
+    target: float | None = None
+    budget_s: float = 60.0
+    criterion: str = "discrimination"
+    profile: str | None = None
+    units: int = 0
+    within: str | None = None
+    """Limits beside those of [experiment]: a .toml file, or `KEY = VALUE; KEY = VALUE`."""
+    file: Path | None = None
+    """Where the programme is written as CSV, and beside it a protocol of each log."""
+    picture: Path | None = None
+    """Where a page with the programme is written."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that no file of the kind has.
+
+        Raises:
+            InputError: one has another ending.
+        """
+        if self.file is not None and self.file.suffix != ".csv":
+            raise InputError(f"--out {self.file}: expected a name that ends in .csv.")
+        if self.picture is not None and self.picture.suffix != ".html":
+            raise InputError(f"--picture {self.picture}: expected a name that ends in .html.")
+
+
+@dataclass(frozen=True)
+class PlanOutcome:
+    """The next experiment."""
+
+    result: PlanResult
+    notes: tuple[str, ...]
+
+
+def plan(request: PlanRequest, progress: Progress = SILENT) -> PlanOutcome:
+    """Plan the next experiment, keep it for the next plan, and write it as the request says.
+
+    Raises:
+        InputError: limits that contradict each other, or nothing left to distinguish.
+    """
+    project = request.project
+    progress("reading logs")
+    config = project.config
+    if request.within is not None:
+        config = read_within(config, request.within)
+    require_trust(config.plugin_files, project.directory, progress)
+    dataset = project.dataset if has_logs(config) else None
+    question = Question(
+        hours=request.hours or config.experiment.hours or HOURS,
+        between=request.between,
+        target=request.target,
+        budget_s=request.budget_s,
+        criterion=request.criterion,
+        profile=request.profile,
+        units=request.units,
+    )
+    planned, result = find_plan(config, dataset, project.catalogue, question, progress)
+    keep_plan(config, result, 0 if dataset is None else len({run.group for run in dataset.train}))
+    if request.file is not None:
+        protocols = list_protocols(planned.programme, planned.limits, result.units)
+        result = write_plan(result, protocols, request.file)
+    if request.picture is not None:
+        # Plotly is an extra
+        from zerodrift.report.figures_plan import draw_plan
+        from zerodrift.report.page import render_page
+
+        page = render_page("The next experiment", [draw_plan(result)])
+        write_whole(request.picture, page.encode())
+    notes = (*(dataset.notes if dataset is not None else ()), *result.notes)
+    return PlanOutcome(result, notes)
 
 
 def has_logs(config: Config) -> bool:
@@ -91,7 +173,7 @@ def find_plan(
     dataset: Dataset | None,
     catalogue: Catalogue,
     question: Question,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Progress = SILENT,
 ) -> tuple[Planned | PlannedPrecisely, PlanResult]:
     """Return the programme and its record; no file is written.
 
@@ -100,10 +182,10 @@ def find_plan(
     """
     units = {output.name: output.unit for output in config.outputs}
     if question.criterion != "discrimination" or question.units:
-        precise = plan_precisely(config, dataset, catalogue, question, say)
+        precise = plan_precisely(config, dataset, catalogue, question, progress)
         return precise, PlanResult(**vars(summarise_precise(precise, units)))
     past = None if dataset is None else _compare_past(config, dataset, catalogue)
-    planned = plan_experiment(config, dataset, catalogue, question, say)
+    planned = plan_experiment(config, dataset, catalogue, question, progress)
     if question.between:
         refuse_alike(planned)
     summary = summarise_plan(planned, units, past)
@@ -132,14 +214,7 @@ def _compare_past(config: Config, dataset: Dataset, catalogue: Catalogue) -> Pas
     plan = kept.plan
     if plan.probability is None or len({run.group for run in dataset.train}) <= kept.runs:
         return None
-    from zerodrift.diagnosis.diagnose import diagnose
-
     found = diagnose(config.effects, dataset, catalogue)
     kinds = tuple(outlook.effect for outlook in plan.outlooks)
     alone = found.effect in kinds and not set(found.lookalikes) & set(kinds)
     return PastPlan(kinds, plan.probability, found.verdict, found.effect, alone)
-
-
-def load_limits(config: Config, within: str | None) -> Config:
-    """Return a project's configuration with the limits that are asked for."""
-    return read_within(config, within) if within is not None else config

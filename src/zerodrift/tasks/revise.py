@@ -1,26 +1,83 @@
-"""What `add` and `remove` share: writing a change, and printing it."""
+"""What changes the model: an effect more, one less, or a step of the history again."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from zerodrift.base.config import Config, EffectConfig, parse_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.journal import write_all
+from zerodrift.base.extras import PAGE, require
+from zerodrift.base.journal import hold_project, write_all, write_text
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.toml_edit import add_effect, add_plugin, remove_effect, set_parameters
-from zerodrift.cli.console import open_console, open_table
-from zerodrift.dataset.runs import Dataset
-from zerodrift.diagnosis.changes import (
-    ADD,
-    CHANGE,
-    name_effect,
-    propose_forms,
-    propose_removal,
+from zerodrift.diagnosis.changes import ADD, CHANGE, propose_forms, propose_removal
+from zerodrift.diagnosis.history import (
+    FILE_NAME,
+    Entry,
+    Step,
+    list_settings,
+    list_steps,
+    load_history,
+    record,
+    record_restored,
+    render_history,
 )
-from zerodrift.diagnosis.history import FILE_NAME, Entry, load_history, record, render_history
 from zerodrift.diagnosis.revision import Revision, revise, revise_best, summarise_revision
-from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.summary import describe_coefficients, describe_parameters
+from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.report.results import AddResult, HistoryResult, RemoveResult
+from zerodrift.tasks.project import ProjectFolder, hold_own, open_project, tell_design
+from zerodrift.tasks.trust import remember
+
+SUFFIX = ".py"
+"""Of a file of effects that stands in the place of an effect: `add my_effect.py`."""
+LAYOUT = (
+    "its layout is not understood well enough to edit it; expected [[effect]] tables with one key"
+    " to a line. Edit the effects by hand."
+)
+
+
+@dataclass(frozen=True)
+class AddRequest:
+    """Which effect the model is to have."""
+
+    project: ProjectFolder
+    effect: str
+    """Its name, or a file of one effect."""
+    held: Mapping[str, float] = field(default_factory=dict)
+    """Parameter -> the value it is held at."""
+    options: Mapping[str, str] = field(default_factory=dict)
+    """Such as the thermometer that it follows, `signal`."""
+    force: bool = False
+    """Keep it even if runs left out are not predicted better."""
+
+
+@dataclass(frozen=True)
+class RemoveRequest:
+    """Which effect the model is to have no more."""
+
+    project: ProjectFolder
+    effect: str
+    signal: str = ""
+    """Of which thermometer, where the model has it for several."""
+
+
+@dataclass(frozen=True)
+class AddOutcome:
+    """A change of the model by one effect more, kept or not."""
+
+    result: AddResult
+    revision: Revision
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RemoveOutcome:
+    """A change of the model by one effect less."""
+
+    result: RemoveResult
+    revision: Revision
+    notes: tuple[str, ...]
 
 
 def read_text(path: Path) -> str:
@@ -66,10 +123,7 @@ def write_revision(config: Config, before: str, text: str, revision: Revision) -
     ]
     wanted = [(e.kind, dict(e.held), dict(e.options)) for e in revision.change.effects]
     if written != wanted:
-        raise InputError(
-            f"{config.path}: its layout is not understood well enough to edit it; expected "
-            "[[effect]] tables with one key to a line. Edit the effects by hand."
-        )
+        raise InputError(f"{config.path}: {LAYOUT}")
     if read_text(config.path) != before:
         raise InputError(
             f"{config.path}: was edited while this command computed; expected it to stay as it was"
@@ -80,167 +134,212 @@ def write_revision(config: Config, before: str, text: str, revision: Revision) -
     write_all(config.directory, {path: history, config.path: text.encode()})
 
 
-def add_to_project(
-    config: Config,
-    dataset: Dataset,
-    catalogue: Catalogue,
-    wanted: EffectConfig,
-    *,
-    force: bool = False,
-    say: Callable[[str], None] = lambda _: None,
-) -> tuple[Revision, bool]:
-    """Add an effect to zerodrift.toml where that helps; return the change, and whether it is kept.
-
-    Args:
-        config: the project; files of effects that zerodrift.toml does not name yet come with it.
-        dataset: its runs.
-        catalogue: the known effects.
-        wanted: the effect, with its held parameters.
-        force: keep it even if runs left out are not predicted better.
-        say: called with a description of each stage of the work.
+def add(request: AddRequest, progress: Progress = SILENT) -> AddOutcome:
+    """Add an effect to zerodrift.toml where that helps, and refit all effects together.
 
     Raises:
         InputError: the effect is unknown, cannot be fitted, or is in the model already and no
             richer form of it helps.
     """
-    changes = propose_forms(config, dataset, catalogue, wanted)
-    text = text_with_files = read_text(config.path)
-    for file in config.plugin_files[len(parse_config(text, config.path).plugin_files) :]:
-        home = config.path.parent
-        name = (file.relative_to(home) if file.is_relative_to(home) else file).as_posix()
-        text_with_files = add_plugin(text_with_files, name, path=config.path)
-    texts_after = [
-        add_effect(text_with_files, wanted.kind, c.effect.held, wanted.options, path=config.path)
-        if c.action == ADD
-        else set_parameters(text_with_files, c.place, c.effect.held, path=config.path)
-        for c in changes
-    ]
-    open_history(config)
-    say(f"fitting without and with {wanted.kind}")
-    revision = revise_best(config, dataset, catalogue, changes)
-    text_after = texts_after[changes.index(revision.change)]
-    is_richer = revision.change.action == CHANGE and not wanted.held
-    if is_richer and not revision.helps and not force:
-        raise InputError(
-            f"{config.path}: effect '{wanted.kind}' is in the model already, and no richer form of "
-            f"it helps: {revision.reason}. Expected one that is not; `zerodrift diagnose` names "
-            "what is missing."
-        )
-    is_kept = revision.helps or force
-    if is_kept:
-        write_revision(config, text, text_after, revision)
-    return revision, is_kept
+    project = request.project
+    with hold_own(project.directory):
+        config, dataset = open_project(project, progress)
+        config, catalogue, kind = open_effect(config, request.effect)
+        wanted = EffectConfig(kind, dict(request.held), dict(request.options))
+        changes = propose_forms(config, dataset, catalogue, wanted)
+        text = text_with_files = read_text(config.path)
+        for file in config.plugin_files[len(parse_config(text, config.path).plugin_files) :]:
+            home = config.path.parent
+            name = (file.relative_to(home) if file.is_relative_to(home) else file).as_posix()
+            text_with_files = add_plugin(text_with_files, name, path=config.path)
+        texts_after = [
+            add_effect(text_with_files, kind, c.effect.held, wanted.options, path=config.path)
+            if c.action == ADD
+            else set_parameters(text_with_files, c.place, c.effect.held, path=config.path)
+            for c in changes
+        ]
+        open_history(config)
+        progress(f"fitting without and with {kind}")
+        revision = revise_best(config, dataset, catalogue, changes)
+        is_richer = revision.change.action == CHANGE and not wanted.held
+        if is_richer and not revision.helps and not request.force:
+            raise InputError(
+                f"{config.path}: effect '{kind}' is in the model already, and no richer form of it"
+                f" helps: {revision.reason}. Expected one that is not; `zerodrift diagnose` names"
+                " what is missing."
+            )
+        is_kept = revision.helps or request.force
+        if is_kept:
+            write_revision(config, text, texts_after[changes.index(revision.change)], revision)
+    result = AddResult(**vars(summarise_revision(revision)), added=is_kept)
+    design = tell_design(config, project.sensor) if is_kept else ()
+    return AddOutcome(result, revision, (*dataset.notes, *design))
 
 
-def remove_from_project(
-    config: Config,
-    dataset: Dataset,
-    catalogue: Catalogue,
-    effect: str,
-    signal: str = "",
-    say: Callable[[str], None] = lambda _: None,
-) -> Revision:
-    """Remove an effect from zerodrift.toml and return the change of the errors.
+def remove(request: RemoveRequest, progress: Progress = SILENT) -> RemoveOutcome:
+    """Remove an effect from zerodrift.toml, and refit the others together.
 
     Raises:
         InputError: the model has no such effect, or has it for several thermometers.
     """
-    change = propose_removal(config, effect, signal)
-    text = read_text(config.path)
-    text_after = remove_effect(text, change.place, path=config.path)
-    open_history(config)
-    say(f"fitting with and without {effect}")
-    revision = revise(config, dataset, catalogue, change)
-    write_revision(config, text, text_after, revision)
-    return revision
+    project = request.project
+    with hold_own(project.directory):
+        config, dataset = open_project(project, progress)
+        change = propose_removal(config, request.effect, request.signal)
+        text = read_text(config.path)
+        text_after = remove_effect(text, change.place, path=config.path)
+        open_history(config)
+        progress(f"fitting with and without {request.effect}")
+        revision = revise(config, dataset, project.catalogue, change)
+        write_revision(config, text, text_after, revision)
+    result = RemoveResult(**vars(summarise_revision(revision)))
+    return RemoveOutcome(result, revision, (*dataset.notes, *tell_design(config, project.sensor)))
 
 
-def print_revision(revision: Revision) -> None:
-    """Print the errors before and after, and the fitted parameters."""
-    console = open_console()
-    model = revision.after.model
-    table = open_table(
-        f"Held-out RMSE ({revision.after.held_out.method})",
-        ("output", "unit"),
-        ("before", "after", "after/before", "noise floor", "x floor"),
+def open_effect(config: Config, named: str) -> tuple[Config, Catalogue, str]:
+    """Return the project, its known effects, and the name of the one that is meant.
+
+    Of a file it is the one that the file declares, and the project is one that has the file among
+    its own; `zerodrift.toml` is not changed by this.
+
+    Args:
+        config: the project.
+        named: an effect, or a file of effects, seen from the current directory or the project's.
+
+    Raises:
+        InputError: there is no such file, it cannot be run, or it declares several effects.
+    """
+    if not named.endswith(SUFFIX):
+        return config, load_catalogue(config.plugin_files), named
+    file = next((p for p in (Path(named), config.directory / named) if p.is_file()), None)
+    if file is None:
+        raise InputError(
+            f"{named}: there is no such file of effects, here or beside {config.path}. `zerodrift"
+            f" propose --write {Path(named).name}` writes a formula as one."
+        )
+    known = next((p for p in config.plugin_files if p.resolve() == file.resolve()), None)
+    place = config.path.parent / _name_in_project(config, file) if known is None else known
+    if known is None:
+        config = replace(config, plugin_files=(*config.plugin_files, place))
+    catalogue = load_catalogue(config.plugin_files)
+    declared = [effect.kind for effect in catalogue.listed() if effect.file == str(place)]
+    if len(declared) != 1:
+        raise InputError(
+            f"{named}: declares {len(declared)} effects, {', '.join(declared)}; expected one, as"
+            " one is added at a time. Name the file under [plugins] files, then add them by name."
+        )
+    remember((file,))
+    return config, catalogue, declared[0]
+
+
+def _name_in_project(config: Config, file: Path) -> str:
+    """Return how zerodrift.toml names a file: seen from there if it lies below, else whole."""
+    whole, home = file.resolve(), config.directory.resolve()
+    return (whole.relative_to(home) if whole.is_relative_to(home) else whole).as_posix()
+
+
+@dataclass(frozen=True)
+class HistoryRequest:
+    """What is to be done with the staircase of errors beside showing it."""
+
+    project: ProjectFolder
+    restore: int | None = None
+    """The step whose effects are written back into zerodrift.toml."""
+    html: Path | None = None
+    """Where a page with the picture is written."""
+
+    def __post_init__(self) -> None:
+        """Refuse a page that nothing here can draw."""
+        if self.html is not None:
+            require(PAGE, "zerodrift history --html")
+
+
+@dataclass(frozen=True)
+class HistoryOutcome:
+    """The staircase of errors so far."""
+
+    steps: tuple[Step, ...]
+    path: Path
+    """Of the history."""
+    restored: str
+    """What became of `restore`, in words; "" where it was not asked for."""
+    notes: tuple[str, ...]
+
+    @property
+    def result(self) -> HistoryResult:
+        """As the command prints it."""
+        return HistoryResult(tuple(step.summarise() for step in self.steps))
+
+
+def show_history(request: HistoryRequest) -> HistoryOutcome:
+    """Return every effect that was added or removed, with the errors it brought.
+
+    Raises:
+        InputError: the history is damaged, or the step cannot be restored.
+    """
+    config, directory = request.project.config, request.project.directory
+    restored = ""
+    if request.restore is not None:
+        with hold_project(directory):
+            restored = _restore_step(config, request.restore)
+    path, entries = open_history(config)
+    steps = list_steps(entries)
+    if request.html is not None:
+        # Plotly is an extra
+        from zerodrift.report.figures import draw_staircase, render_page
+
+        title = f"{config.sensor_name}: history of the model"
+        reasons = [f"{step.label}: {step.reason}" for step in steps if step.reason]
+        write_text(request.html, render_page(title, [draw_staircase(steps)], reasons), directory)
+    notes = tell_design(config, request.project.sensor) if restored else ()
+    return HistoryOutcome(steps, path, restored, notes)
+
+
+def _restore_step(config: Config, number: int) -> str:
+    """Write the effects of a step into zerodrift.toml and append an entry to the history; return a
+    sentence on it.
+
+    Raises:
+        InputError: there is no such step, it kept no settings, or the file cannot be edited.
+    """
+    path, entries = open_history(config)
+    steps = list_steps(entries)
+    if number >= len(steps):
+        known = f"steps 0 to {len(steps) - 1}" if steps else "none yet"
+        raise InputError(
+            f"--restore {number}: there is no such step in {path} ({known}); expected one that "
+            "`zerodrift history` lists."
+        )
+    step = steps[number]
+    if step.effects and not step.settings:
+        raise InputError(
+            f"--restore {number}: step '{step.label}' was made by hand or by an older version, "
+            f"which kept no settings; expected a step that has them. Its effects were "
+            f"{', '.join(step.effects)}: write them into {config.path} by hand."
+        )
+    before = text = read_text(config.path)
+    # Effects that the step has too stay as they are written, comments included.
+    missing = list(step.settings)
+    for place, settings in reversed(list(enumerate(list_settings(config.effects)))):
+        if settings in missing:
+            missing.remove(settings)
+        else:
+            text = remove_effect(text, place, path=config.path)
+    for effect in missing:
+        text = add_effect(text, effect.kind, effect.held, effect.options, path=config.path)
+    written = list(list_settings(parse_config(text, config.path).effects))
+    if sorted(written, key=repr) != sorted(step.settings, key=repr):
+        raise InputError(f"{config.path}: {LAYOUT}")
+    if text == before:
+        return (
+            f"{config.path} has the effects of step {number} ({step.label}) already; nothing"
+            " was written"
+        )
+    entry = record_restored(steps, number, config.effects)
+    write_all(
+        config.directory, {path: render_history([*entries, entry]), config.path: text.encode()}
     )
-    for k, name in enumerate(model.outputs):
-        before, after = float(revision.before.rmse[k]), float(revision.after.rmse[k])
-        floor = float(revision.floor.rms[k])
-        table.add_row(
-            name,
-            model.units[k],
-            f"{before:.4g}",
-            f"{after:.4g}",
-            f"{after / before:.3f}" if before > 0.0 else "-",
-            f"{floor:.4g}",
-            f"{after / floor:.2f}" if floor > 0.0 else "-",
-        )
-    console.print(table)
-    notes = [revision.after.held_out.explain(), revision.floor.explain()]
-    if revision.before.has_outliers:
-        pairs = zip(
-            model.outputs,
-            model.units,
-            revision.before.steady_rmse,
-            revision.after.steady_rmse,
-            strict=True,
-        )
-        told = ", ".join(f"{n} {one:.4g} to {two:.4g} {unit}" for n, unit, one, two in pairs)
-        notes.append(f"the table's errors are those of all rows; without outliers: {told}")
-    summary = summarise_revision(revision)
-    if (tested := summary.explain_test()) is not None:
-        notes.append(tested)
-    anew = summary.explain_offsets()
-    if anew is not None:
-        notes.append(anew)
-    elif revision.tared:
-        notes.append("each run's own offset is taken off, as the logs are zeroed one by one")
-    for note in notes:
-        console.print(f"{note[0].upper()}{note[1:]}.")
-    _print_parameters(revision)
-    for note in model.notes:
-        console.print(f"note: {note}.")
-
-
-def _print_parameters(revision: Revision) -> None:
-    """Print the parameters of all effects, and the coefficients of the new one."""
-    console = open_console()
-    model = revision.after.model
-    table = open_table("Parameters", ("effect", "parameter", "unit", ""), ("value", "std error"))
-    for fitted in model.terms:
-        for name, told in describe_parameters(fitted).items():
-            remark = "held" if told.held else "at its bound" if told.at_bound else ""
-            table.add_row(
-                fitted.term.name,
-                name,
-                told.unit,
-                remark,
-                f"{told.value:.4g}",
-                _write_error(told.std_error),
-            )
-    if table.row_count:
-        console.print(table)
-    term = revision.term
-    rows = describe_coefficients(model, term) if term is not None else []
-    if not rows:
-        return
-    table = open_table(
-        f"Coefficients of {name_effect(revision.change.effect)}",
-        ("feature", "output", "unit"),
-        ("value", "std error"),
+    return (
+        f"restored the effects of step {number} ({step.label}); `zerodrift firmware` trains with"
+        " them"
     )
-    for row in rows:
-        table.add_row(
-            row.feature,
-            row.output,
-            row.unit,
-            f"{row.value:.4g}",
-            _write_error(row.std_error),
-        )
-    console.print(table)
-
-
-def _write_error(error: float | None) -> str:
-    """Return a standard error; a dash where there is none."""
-    return "-" if error is None else f"{error:.2g}"

@@ -2,8 +2,9 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -11,10 +12,9 @@ from zerodrift import __version__
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.base.sealed import render_sealed
-from zerodrift.cli.compare import describe_patterns, explain_figures
-from zerodrift.cli.diagnose import explain_verdict
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
 from zerodrift.diagnosis.advice import advise
@@ -24,25 +24,23 @@ from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import list_steps
 from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.run_errors import collect_errors
-from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import summarise_model
-from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings, LoggedInput, Provenance, SourceFile, trace_runs
 from zerodrift.report.proposal import ProposedFormula
-from zerodrift.report.results import CompareResult, HistoryResult, ProposeResult, ReportResult
-from zerodrift.tasks.built import read_firmware, read_kept, state_uncertainty
-from zerodrift.tasks.predictors import compare_predictor, open_predictor
-from zerodrift.tasks.project import open_project
-from zerodrift.tasks.revise import open_history
-from zerodrift.tasks.verdict import (
+from zerodrift.report.results import ProposeResult
+from zerodrift.report.sentences import (
+    describe_patterns,
+    explain_figures,
     explain_others,
-    find_verdict,
-    list_commands,
-    summarise_diagnosis,
+    explain_verdict,
 )
-
-Say = Callable[[str], None]
+from zerodrift.tasks.built import read_firmware, read_kept, state_uncertainty
+from zerodrift.tasks.compare import compare_predictor, open_predictor
+from zerodrift.tasks.diagnose import find_verdict, list_commands
+from zerodrift.tasks.project import ProjectFolder, open_project
+from zerodrift.tasks.revise import open_history
 
 DIAGNOSIS = "diagnosis.json"
 """In build/: the last diagnosis, with the mark of what it was made from."""
@@ -54,39 +52,33 @@ SIMULATED_FILES = ("truth.json", "twin.json")
 PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
 
 
-def survey_project(
-    directory: Path,
-    *,
-    sensor: str | None = None,
-    skip_invalid: bool = False,
-    wants_diagnosis: bool = True,
-    wants_contribution: bool = False,
-    wants_advice: bool = True,
-    say: Say = lambda _: None,
-) -> Findings:
+@dataclass(frozen=True)
+class SurveyRequest:
+    """What is to be found out about a project."""
+
+    project: ProjectFolder
+    wants_diagnosis: bool = True
+    """Whether to diagnose where no diagnosis of these logs is kept."""
+    wants_contribution: bool = False
+    """Whether to compute what the named effect would explain."""
+    wants_advice: bool = True
+    """Whether to say what the logs can teach."""
+
+
+def survey(request: SurveyRequest, progress: Progress = SILENT) -> Findings:
     """Return the results of `compare`, `diagnose`, `history`, `firmware` and `export`.
 
     The diagnosis is kept in build/ and taken from there while configuration and logs are the same.
 
-    Args:
-        directory: of zerodrift.toml.
-        sensor: a unit of a fleet; None: the project has one sensor.
-        skip_invalid: drop invalid rows of the logs.
-        wants_diagnosis: whether to diagnose where no diagnosis of these logs is kept.
-        wants_contribution: whether to compute what the named effect would explain.
-        wants_advice: whether to say what the logs can teach.
-        say: called with a description of each stage of the work.
-
     Raises:
         InputError: as the commands do.
     """
-    say("reading logs")
-    config, dataset = open_project(directory, skip_invalid, sensor)
-    catalogue = load_catalogue(config.plugin_files)
-    say("fitting")
-    predictor = open_predictor(None, config, dataset, catalogue)
-    say("comparing")
-    comparison = compare_predictor(predictor, config, dataset)
+    config, dataset = open_project(request.project, progress)
+    catalogue = request.project.catalogue
+    progress("fitting")
+    predictor = open_predictor(None, request.project)
+    progress("comparing")
+    comparison = compare_predictor(predictor, request.project)
     runs = [*dataset.train, *dataset.test]
     held_out = comparison.method.predictions
     predictions = {
@@ -95,13 +87,18 @@ def survey_project(
     }
     errors = collect_errors(runs, predictions, comparison.tared, comparison.find_usable)
     provenance = trace_provenance(config, dataset)
-    diagnosed = diagnose_once(config, dataset, catalogue, provenance.mark, wants_diagnosis, say)
+    wanted = request.wants_diagnosis
+    diagnosed = diagnose_once(config, dataset, catalogue, provenance.mark, wanted, progress)
     contribution = None
-    if wants_contribution and diagnosed is not None and diagnosed.diagnosis.effect is not None:
-        told = list_contributions(config, dataset, catalogue, diagnosed.diagnosis, 1, say)
+    if (
+        request.wants_contribution
+        and diagnosed is not None
+        and diagnosed.diagnosis.effect is not None
+    ):
+        told = list_contributions(config, dataset, catalogue, diagnosed.diagnosis, 1, progress)
         contribution = next(told, None)
     inputs = list_inputs(config, runs)
-    say("looking at the firmware")
+    progress("looking at the firmware")
     firmware, certificate, note = read_firmware(config)
     _, entries = open_history(config)
     reviewed = review_logs(config, dataset)
@@ -113,7 +110,7 @@ def survey_project(
         simulated=is_simulated(config),
         predictor=predictor.kind,
         comparison=comparison.summarise(),
-        advice=advise(config, dataset) if wants_advice else None,
+        advice=advise(config, dataset) if request.wants_advice else None,
         comparison_sentences=tuple(explain_figures(comparison)),
         patterns=tuple(describe_patterns(comparison)),
         diagnosed=diagnosed,
@@ -134,7 +131,7 @@ def survey_project(
             )
         ),
         reviewed=reviewed,
-        skip_invalid=skip_invalid,
+        skip_invalid=request.project.skip_invalid,
         traces=trace_runs(
             errors,
             [run.name for run in comparison.runs if run.held_out is not None],
@@ -195,7 +192,7 @@ def diagnose_once(
     catalogue: Catalogue,
     mark: str,
     wanted: bool,
-    say: Say = lambda _: None,
+    progress: Progress = SILENT,
 ) -> ExplainedDiagnosis | None:
     """Return the diagnosis: the one kept in build/ if the hash of all files is the same.
 
@@ -208,7 +205,7 @@ def diagnose_once(
     if not wanted:
         return None
     verdict = find_verdict(
-        config, dataset, catalogue, say=lambda words: say(f"diagnosing: {words}")
+        config, dataset, catalogue, say=lambda words: progress(f"diagnosing: {words}")
     )
     (command,) = list_commands(config.effects, verdict.steps, catalogue)
     sentences = explain_verdict(
@@ -250,7 +247,7 @@ def list_contributions(
     catalogue: Catalogue,
     diagnosis: Diagnosis,
     most: int,
-    say: Say = lambda _: None,
+    progress: Progress = SILENT,
 ) -> Iterator[Contribution]:
     """Yield the part of the error that each of the likeliest candidates would explain, best first.
 
@@ -260,7 +257,7 @@ def list_contributions(
         catalogue: the known effects.
         diagnosis: the verdict and its candidates.
         most: how many candidates.
-        say: called with a description of each stage of the work.
+        progress: is told of each stage of the work.
     """
     kinds = [effect.kind for effect in config.effects]
     wanted = [c for c in diagnosis.candidates if c.effect not in kinds]
@@ -269,52 +266,7 @@ def list_contributions(
         return
     baseline = open_baseline(config, dataset, catalogue)
     for candidate in wanted[:most]:
-        say(f"drawing {candidate.effect}")
+        progress(f"drawing {candidate.effect}")
         found = find_contribution(baseline, candidate.effect, candidate.parameters)
         if found is not None:
             yield found
-
-
-def summarise_survey(
-    findings: Findings, files: Sequence[Path], datasheet: Sequence[DatasheetRow] | None
-) -> ReportResult:
-    """Return the record that `report --json` prints.
-
-    Args:
-        findings: the results for the project.
-        files: the files that were written.
-        datasheet: its figures, where they were asked for.
-    """
-    explained, advice = findings.diagnosed, findings.advice
-    diagnose = None
-    if explained is not None:
-        diagnose = summarise_diagnosis(
-            explained.diagnosis, explained.command, explained.thermometers, None, Path()
-        )
-    return ReportResult(
-        sensor=findings.sensor,
-        simulated=findings.simulated,
-        compare=CompareResult(
-            **vars(findings.comparison),
-            model=findings.predictor,
-            notes=findings.reviewed,
-            advice=advice.summarise() if advice is not None else None,
-            uncertainty=findings.uncertainty,
-        ),
-        compare_sentences=findings.comparison_sentences,
-        patterns=findings.patterns,
-        diagnose=diagnose,
-        diagnose_sentences=tuple(s.text for s in explained.sentences) if explained else (),
-        history=HistoryResult(tuple(step.summarise() for step in findings.steps)),
-        model=findings.model,
-        firmware=findings.firmware,
-        certificate=findings.certificate,
-        firmware_note=findings.firmware_note,
-        titles=findings.titles,
-        catalogue=findings.catalogue,
-        provenance=findings.provenance,
-        notes=findings.notes,
-        skip_invalid=findings.skip_invalid,
-        files=tuple(str(path) for path in files),
-        datasheet=None if datasheet is None else tuple(datasheet),
-    )

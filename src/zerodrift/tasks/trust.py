@@ -18,13 +18,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import click
-
 from zerodrift.base.errors import InputError
+from zerodrift.base.progress import SILENT, Progress
 
 STORE = "trusted.txt"
-TRUST = "zerodrift.trust"
-"""In a click context: `--trust` was given."""
 
 _agreed: set[str] = set()
 """What was agreed to in this process; the store may not be writable."""
@@ -32,7 +29,14 @@ _agreed: set[str] = set()
 
 def locate_store() -> Path:
     """Return the file in the user's configuration folder that holds the hashes."""
-    return Path(click.get_app_dir("zerodrift")) / STORE
+    home = Path("~").expanduser()
+    if sys.platform == "win32":
+        folder = Path(os.environ.get("APPDATA", home))
+    elif sys.platform == "darwin":
+        folder = home / "Library/Application Support"
+    else:
+        folder = Path(os.environ.get("XDG_CONFIG_HOME", home / ".config"))
+    return folder / "zerodrift" / STORE
 
 
 def list_unknown(files: Sequence[Path]) -> list[Path]:
@@ -60,12 +64,13 @@ def remember_code(texts: Mapping[str, str]) -> None:
     _note({hash_code(texts): ", ".join(n for n in sorted(texts) if not n.startswith("zd_"))})
 
 
-def require_trust(files: Sequence[Path], directory: Path) -> None:
+def require_trust(files: Sequence[Path], directory: Path, progress: Progress = SILENT) -> None:
     """Ask once before files of effects are run, unless the project is this user's own.
 
     Args:
         files: the project's `[plugins] files`.
         directory: of the project.
+        progress: asks the user.
 
     Raises:
         InputError: the user says no, or there is nobody to ask.
@@ -76,16 +81,18 @@ def require_trust(files: Sequence[Path], directory: Path) -> None:
         _ask(
             f"{names}: Python that this project brings and that was never run here",
             "files that you have read",
+            progress,
         )
     remember(files)
 
 
-def require_code(texts: Mapping[str, str], folder: Path) -> None:
+def require_code(texts: Mapping[str, str], folder: Path, progress: Progress = SILENT) -> None:
     """Ask once before C is built and run that this user's own zerodrift did not write.
 
     Args:
         texts: name -> content, of the model's header and source and of the runtime.
         folder: where it lies.
+        progress: asks the user.
 
     Raises:
         InputError: the user says no, or there is nobody to ask.
@@ -95,6 +102,7 @@ def require_code(texts: Mapping[str, str], folder: Path) -> None:
             f"{folder}: C that differs from what this zerodrift writes for the model, and that was"
             " never run here; to verify it is to run it",
             "C that you have read, or have from somebody whom you trust",
+            progress,
         )
         remember_code(texts)
 
@@ -131,35 +139,19 @@ def hash_code(texts: Mapping[str, str]) -> str:
     return digest.hexdigest()
 
 
-def is_trusted() -> bool:
-    """Return whether the command was given `--trust`."""
-    context = click.get_current_context(silent=True)
-    return context is not None and bool(context.meta.get(TRUST))
-
-
-def _ask(found: str, expected: str) -> None:
-    """Return if the user agrees, now or by `--trust`.
+def _ask(found: str, expected: str, progress: Progress) -> None:
+    """Return if the user agrees.
 
     Raises:
         InputError: the user says no, or there is nobody to ask.
     """
-    from zerodrift.cli.console import pause_progress
-
-    if is_trusted():
-        return
-    if not _is_somebody_there():
+    agreed = progress.confirm(f"{found}. Run it?")
+    if agreed is None:
         raise InputError(
             f"{found}; expected {expected}. Look at it, then run the command again with --trust."
         )
-    with pause_progress():
-        agreed = click.confirm(f"{found}. Run it?", default=False, err=True)
     if not agreed:
         raise InputError(f"{found}: not run, as you asked. Nothing was done.")
-
-
-def _is_somebody_there() -> bool:
-    """Return whether a user can be asked."""
-    return bool(sys.stdin and sys.stdin.isatty() and sys.stderr and sys.stderr.isatty())
 
 
 def _note(hashes: Mapping[str, str]) -> None:

@@ -11,7 +11,7 @@ from zerodrift.base.config import FILE_NAME, Config, load_config, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.fleet_config import PLACEHOLDER
 from zerodrift.base.journal import write_text
-from zerodrift.base.progress import print_progress
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.toml_inputs import set_columns, set_format
 from zerodrift.dataset.chip_codes import choose_input_codes, choose_temperature_codes
 from zerodrift.dataset.design_codes import DESIGN_FORMAT, explain_stated, list_unstated
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 THERMOMETER = "[sensor] temperature"
 
 
-def upgrade(directory: Path) -> "UpgradeResult":
+def upgrade(directory: Path, progress: Progress = SILENT) -> "UpgradeResult":
     """Write the codes that zerodrift.toml leaves to the logs into it, and its format.
 
     They are the codes that followed from the training logs so far, in a fleet the codes that hold
@@ -48,7 +48,7 @@ def upgrade(directory: Path) -> "UpgradeResult":
         runs = []
         for number, unit in enumerate(units, 1):
             if len(units) > 1:
-                print_progress(f"reading the logs of unit {number} of {len(units)}")
+                progress(f"reading the logs of unit {number} of {len(units)}")
             runs += _read_extremes(unit, wanted)
         former = replace(config, format=1)
         for name in wanted:

@@ -1,4 +1,4 @@
-"""What `monitor` opens: the deployed model, the state of the last call, and live sources."""
+"""`monitor`: the deployed model, the state of the last call, logs and live sources."""
 
 import shlex
 import subprocess
@@ -6,113 +6,149 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
-from zerodrift.dataset.runs import Dataset
+from zerodrift.base.lock import lock_project
+from zerodrift.base.progress import SILENT, Progress
+from zerodrift.field.metrics import write_metrics
 from zerodrift.field.registry import LEARNING, open_registry
 from zerodrift.field.registry_file import FILE_NAME as REGISTRY
-from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state
+from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state, save_state
 from zerodrift.field.summary import MonitorResult
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
-from zerodrift.tasks.applied_model import open_applied
+from zerodrift.tasks.applied_model import load_nothing, open_applied
 from zerodrift.tasks.deployed_block import find_serial
+from zerodrift.tasks.known_units import find_known
+from zerodrift.tasks.monitor import Monitor
 from zerodrift.tasks.monitored_log import Deployed
-from zerodrift.tasks.project import open_config
+from zerodrift.tasks.project import ProjectFolder
 from zerodrift.verify.manifest import check_manifest
 
 OVERLAP_S = 7200.0
 """Of a live source: how much is computed again with the next rows, so that memory settles."""
 FEWEST_LINES = 3
+STANDARD_INPUT = "-"
+COMMAND_MARK = "command:"
 
 
-class Options(Protocol):
-    """The options that are read here."""
+@dataclass(frozen=True)
+class MonitorRequest:
+    """Which unit is held against which logs, and how its alarms are set."""
 
-    @property
-    def sensor(self) -> str | None:
-        """A unit of a fleet."""
-        ...
-
-    @property
-    def block(self) -> Path | None:
-        """The block that is on the unit."""
-        ...
-
-    @property
-    def loads(self) -> tuple[str, ...]:
-        """OUTPUT=VALUE."""
-        ...
-
-    @property
-    def when(self) -> str | None:
-        """COLUMN=VALUE."""
-        ...
-
-    @property
-    def alarms_per_unit_month(self) -> float:
-        """False alarms per unit and month."""
-        ...
-
-    @property
-    def learn_days(self) -> float:
-        """Days that the noise is learnt from."""
-        ...
-
-    @property
-    def block_hours(self) -> float:
-        """Length of a block in hours."""
-        ...
-
-    @property
-    def state(self) -> Path | None:
-        """File of the state."""
-        ...
-
-    @property
-    def reset(self) -> bool:
-        """Whether to begin anew."""
-        ...
-
-    @property
-    def every_s(self) -> float:
-        """Time in s between two reads of a live source."""
-        ...
+    project: ProjectFolder
+    sources: tuple[str, ...]
+    """Logs as [logs] names them, "-" for CSV on standard input, or "command:CMD"."""
+    block: Path | None = None
+    """The block on the unit; None: as the registry says, else the one written last."""
+    loads: tuple[str, ...] = ()
+    """OUTPUT=VALUE: true values in these logs."""
+    when: str | None = None
+    """COLUMN=VALUE: only rows with this number in this column have the known load."""
+    alarms_per_unit_month: float = 0.01
+    """False alarms per unit and month of 30 days, all outputs together."""
+    learn_days: float = 14.0
+    """The first days, which the noise in use is learnt from."""
+    block_hours: float = 4.0
+    """Samples are averaged over so long before they are tested."""
+    state: Path | None = None
+    """What is kept from call to call; None: in build/."""
+    metrics: Path | None = None
+    """Where Prometheus' text goes; None: nowhere."""
+    reset: bool = False
+    """Forget what was seen."""
+    every_s: float = 3600.0
+    """Of a live source: time of the log between two looks."""
 
 
-def open_deployed(directory: Path, options: Options) -> tuple[Deployed, Path, tuple[str, ...]]:
+def monitor_unit(request: MonitorRequest, progress: Progress = SILENT) -> MonitorResult:
+    """Hold the model of the last `firmware`, with the unit's block, against new logs of its unit.
+
+    The state goes on from call to call; another model begins anew. Of a live source, what is found
+    is told after each look.
+
+    Raises:
+        InputError: a log or an option cannot be read, or there is no firmware.
+        CheckError: the files of the firmware are not those that were built and checked.
+    """
+    if not request.sources:
+        raise InputError("nothing to read; expected a log, - or command:CMD. Name one.")
+    project = request.project
+    deployed, place, notes = open_deployed(request)
+    with lock_project(place.parent):
+        state, more = open_state(place, deployed, request)
+        monitor = Monitor(deployed, state)
+
+        def look() -> MonitorResult:
+            progress("testing")
+            told = monitor.judge(progress)
+            if monitor.wants_name:
+                progress("trying the other units of the design")
+                in_fleet = bool(project.sensor)
+                known, unknown = find_known(project.directory, deployed, in_fleet=in_fleet)
+                told = replace(told, other_unit=monitor.seek(known), notes=(*told.notes, *unknown))
+            save_state(place, monitor.state)
+            if request.metrics is not None:
+                write_metrics(request.metrics, (told,))
+            return told
+
+        for source in request.sources:
+            if source == STANDARD_INPUT or source.startswith(COMMAND_MARK):
+                for chunk in live_chunks(source.removeprefix(COMMAND_MARK), deployed, request):
+                    monitor.read(chunk, skip_invalid=project.skip_invalid, overlap=True)
+                    told = look()
+                    texts = list_texts(told)
+                    texts += [told.other_unit.text] if told.other_unit is not None else []
+                    progress.tell(f"{told.steps_in_all} steps; {'; '.join(texts)}")
+                continue
+            if not Path(source).exists():
+                raise InputError(
+                    f"{source}: there is no such log; expected a file or folder, - or command:CMD."
+                )
+            progress(f"reading {Path(source).name}")
+            monitor.read(Path(source), skip_invalid=project.skip_invalid)
+        told = look()
+        entered = enter(project.directory, deployed, told, monitor.state.logs)
+    return replace(told, notes=(*notes, *more, *told.notes, *entered))
+
+
+def list_texts(told: MonitorResult) -> list[str]:
+    """Return what is told of the outputs, those of which the same is told together."""
+    outputs: dict[str, list[str]] = {}
+    for name, output in told.outputs.items():
+        outputs.setdefault(output.text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in outputs.items()]
+
+
+def open_deployed(request: MonitorRequest) -> tuple[Deployed, Path, tuple[str, ...]]:
     """Return the unit as it is in use, the file of its state, and notes for the user.
 
     Raises:
         InputError: there is no firmware, no such unit, or an option cannot be read.
         CheckError: the files of the firmware are not those that were built and checked.
     """
-    config = open_config(directory, options.sensor)
-    applied = open_applied(config, load_logs=load_nothing, block=options.block)
+    config = request.project.config
+    applied = open_applied(config, load_logs=load_nothing, block=request.block)
     changed = [f for f in check_manifest(config, wants_inputs=False).findings if not f.is_stale]
     if changed:
         raise CheckError("the firmware is not what was built and checked: " + changed[0].text)
-    loads, when = _read_loads(config, options)
-    name = options.sensor or config.sensor_name
+    loads, when = _read_loads(config, request)
+    name = request.project.sensor or config.sensor_name
     serial = find_serial(config)
     deployed = Deployed(name, serial, config, applied.model, applied.uncertainty, loads, when)
-    return deployed, options.state or config.build_directory / FILE_NAME, applied.notes
-
-
-def load_nothing() -> Dataset:
-    """Take the place of a project's logs, which the integer model does not need."""
-    raise AssertionError("the integer model needs no logs")
+    return deployed, request.state or config.build_directory / FILE_NAME, applied.notes
 
 
 def _read_loads(
-    config: Config, options: Options
+    config: Config, request: MonitorRequest
 ) -> tuple[dict[str, float], tuple[str, float] | None]:
     """Return the loads that are known, and the rows for which they are."""
     names = [output.name for output in config.outputs]
     loads = {}
-    for text in options.loads:
+    for text in request.loads:
         name, value = _read_pair("--load", text, "Fz=0")
         if name not in names:
             raise InputError(
@@ -120,7 +156,7 @@ def _read_loads(
                 f" {', '.join(names)}."
             )
         loads[name] = value
-    when = None if options.when is None else _read_pair("--when", options.when, "idle=1")
+    when = None if request.when is None else _read_pair("--when", request.when, "idle=1")
     return loads, when
 
 
@@ -135,7 +171,7 @@ def _read_pair(option: str, text: str, example: str) -> tuple[str, float]:
 
 
 def open_state(
-    place: Path, deployed: Deployed, options: Options
+    place: Path, deployed: Deployed, request: MonitorRequest
 ) -> tuple[MonitorState, tuple[str, ...]]:
     """Return the state to continue from, and notes for the user.
 
@@ -145,11 +181,11 @@ def open_state(
     fresh = MonitorState(
         deployed.sensor,
         deployed.model.hash,
-        options.block_hours * 3600.0,
-        options.alarms_per_unit_month,
-        options.learn_days * 86_400.0,
+        request.block_hours * 3600.0,
+        request.alarms_per_unit_month,
+        request.learn_days * 86_400.0,
     )
-    if options.reset:
+    if request.reset:
         return fresh, ()
     kept = load_state(place)
     if kept is None:
@@ -208,13 +244,13 @@ def enter(
     return (f"{path.name}: entered under the serial number {serial} of [firmware]",)
 
 
-def live_chunks(source: str, deployed: Deployed, options: Options) -> Iterator[Path]:
+def live_chunks(source: str, deployed: Deployed, request: MonitorRequest) -> Iterator[Path]:
     """Yield files with the last rows of a live source, whenever enough have come.
 
     Args:
         source: - or a command, which prints CSV with a header, a row for each sample.
         deployed: gives the time that the model needs to settle.
-        options: how often to read.
+        request: how often to read.
 
     Raises:
         InputError: the command cannot be started, or printed nothing.
@@ -222,7 +258,7 @@ def live_chunks(source: str, deployed: Deployed, options: Options) -> Iterator[P
     config = deployed.config
     warm_s = deployed.model.guards.warm_up_steps * config.sample_period_s
     kept = max(FEWEST_LINES, round(max(OVERLAP_S, warm_s) / config.sample_period_s))
-    wanted = max(FEWEST_LINES, round(options.every_s / config.sample_period_s))
+    wanted = max(FEWEST_LINES, round(request.every_s / config.sample_period_s))
     with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch, _open(source) as stream:
         header = stream.readline()
         if not header.strip():

@@ -5,7 +5,7 @@ not see, the same ones for all.
 """
 
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from zerodrift.base.config import AUTO, Config, NetworkConfig
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.progress import Stage
 from zerodrift.base.scratch import make_scratch
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.footprint import measure_footprint
@@ -22,7 +23,7 @@ from zerodrift.export.compose import compose_integer_model, describe_compensator
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.prepare import mark_inputs, read_settings
-from zerodrift.train.scores import Stage, StageRmse, Trained, measure, score
+from zerodrift.train.scores import StageRmse, Trained, measure, score
 from zerodrift.train.split import split_runs
 from zerodrift.train.stages import fit_physics
 from zerodrift.train.summary import NetworkChoice, TriedNetwork
@@ -213,20 +214,3 @@ def measure_cost(config: Config, dataset: Dataset, compensator: Compensator, fol
     codes = encode_inputs(model, dataset.train[0])[:COUNTED_STEPS]
     flash_bytes = measure_footprint(code, CORE).flash_bytes
     return _Cost(products, max(chip.count_instructions(codes)), flash_bytes)
-
-
-def tabulate(choice: NetworkChoice) -> tuple[Sequence[str], list[tuple[str, ...]]]:
-    """Return heads and rows of the table as it is printed."""
-    outputs = [f"{name} [{unit}]" for name, unit in choice.units.items()]
-    heads = (*outputs, "times the best", "instr.", "flash B", "")
-    rows = []
-    for one in choice.tried:
-        if one.rmse_left_out is None:
-            rows.append((one.name, *("-" for _ in outputs), "-", "-", "-", one.why))
-            continue
-        errors = (f"{one.rmse_left_out[name]:.4g}" for name in choice.units)
-        cost = ("-" if n is None else str(n) for n in (one.instructions, one.flash_bytes))
-        mark = "taken" if one.name == choice.taken else "as good" if one.as_good else ""
-        mark = ", ".join(word for word in (mark, one.why) if word)
-        rows.append((one.name, *errors, f"{one.times_best:.3f}", *cost, mark))
-    return heads, rows

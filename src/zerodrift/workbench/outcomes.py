@@ -12,8 +12,8 @@ from zerodrift.report.findings import Findings
 from zerodrift.report.pictures import draw_error_budget
 from zerodrift.report.pictures_plan import draw_programme
 from zerodrift.report.proposal import draw_remainder
-from zerodrift.report.proposal_words import explain_black_boxes
 from zerodrift.report.results import ApplyResult, PlanResult, ProposeResult, TrainResult
+from zerodrift.report.sentences import explain_black_boxes
 from zerodrift.verify.summary import FirmwareSummary, LogsRefused, VerifySummary
 from zerodrift.workbench.panels import show_picture, show_table
 from zerodrift.workbench.workplace import Outcome

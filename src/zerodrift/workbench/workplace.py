@@ -60,7 +60,7 @@ from zerodrift.workbench.watch import RecordingWatch, UnitsWatch
 
 Array = NDArray[np.float64]
 
-CHILD = "zerodrift.cli.page"
+CHILD = "zerodrift.workbench.worker"
 LOOKS_AT = ("verify", "report", "apply", "propose", "plan", "chip")
 """Commands after which the project is as it was."""
 CHANGES = ("add", "remove", "restore")

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import write_whole
+from zerodrift.base.progress import SILENT, Progress
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.log_steps import find_column, name_columns, read_log_steps
 from zerodrift.dataset.selectors import expand_selectors
@@ -23,10 +25,72 @@ from zerodrift.field.neighbours import (
     measure_lost,
     render,
 )
+from zerodrift.field.summary import NeighbourResult
+from zerodrift.tasks.applied_model import load_nothing, open_applied
 from zerodrift.tasks.apply import Chip, answer
 from zerodrift.tasks.diff import MOST_STEPS, key_of, plan_sweep
+from zerodrift.tasks.project import ProjectFolder
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NeighbourRequest:
+    """Which program the model is wanted for, and how."""
+
+    project: ProjectFolder
+    kind: str
+    """One of `KINDS`."""
+    logs: tuple[Path, ...] = ()
+    """Over which the loss is stated; none: those of [logs]."""
+    outputs: tuple[str, ...] = ()
+    """In the order of the neighbour's axes; none: all."""
+    device: int | None = None
+    """Number of the sensor in that program; None: its first."""
+    order: int | None = None
+    """Of `polynomial`."""
+    out: Path | None = None
+    """The file to be written; None: a name for each kind, in the current directory."""
+
+
+@dataclass(frozen=True)
+class NeighbourOutcome:
+    """The file that was written, and the accuracy that is lost."""
+
+    result: NeighbourResult
+    notes: tuple[str, ...]
+    """Those of the result, and what was noticed of the model."""
+
+
+def write_neighbour(request: NeighbourRequest, progress: Progress = SILENT) -> NeighbourOutcome:
+    """Write the model of the last `firmware` as another program takes it.
+
+    Raises:
+        InputError: no firmware was built, the neighbour does not take an output or its unit, a log
+            cannot be read, or another's file would be overwritten.
+    """
+    config, kind = request.project.config, request.kind
+    applied = open_applied(config, load_logs=load_nothing, progress=progress)
+    place = request.out if request.out is not None else Path(KINDS[kind].file)
+    if place.exists() and "written by zerodrift" not in place.read_text("utf-8", "replace")[:200]:
+        raise InputError(
+            f"{place}: is there and was not written by `zerodrift neighbour`; expected a new file."
+            " Move it, or name another by --out."
+        )
+    progress("reading")
+    told = render_neighbour(
+        config,
+        applied.model,
+        kind,
+        outputs=request.outputs,
+        device=request.device,
+        order=request.order,
+        logs=request.logs,
+        say=progress,
+    )
+    write_whole(place, told.text.encode())
+    result = NeighbourResult(kind, applied.model.hash, str(place), told.lost, told.notes)
+    return NeighbourOutcome(result, (*applied.notes, *told.notes))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,15 @@
-"""What the page replays: the firmware's C as WebAssembly, runs, and the reference's answers."""
+"""What the page runs in separate processes: survey, diagnosis, and the firmware's C for the page.
 
+python -m zerodrift.workbench.worker survey|diagnose|chip PROJECT RESULT [--skip-invalid]
+                                     [--sensor NAME]
+
+All write into the directory RESULT and report by an event when a file there is complete.
+"""
+
+import json
+import os
 import shutil
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
-from zerodrift.base.errors import InputError
-from zerodrift.base.progress import print_progress
+from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.progress import SILENT, Lines, Progress
+from zerodrift.base.records import to_json
 from zerodrift.c_runtime.wasm import build_wasm
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.export.compose import count_elapsed, encode_inputs
@@ -17,8 +27,16 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
+from zerodrift.report.findings import save_findings
 from zerodrift.tasks.applied_rows import FLAG_NAMES
-from zerodrift.tasks.project import open_project
+from zerodrift.tasks.project import ProjectFolder, open_project
+from zerodrift.tasks.survey import (
+    SurveyRequest,
+    diagnose_once,
+    list_contributions,
+    survey,
+    trace_provenance,
+)
 from zerodrift.verify.replay import read_code
 from zerodrift.workbench.chip import (
     MODEL,
@@ -29,7 +47,19 @@ from zerodrift.workbench.chip import (
     list_read,
     write_replay,
 )
+from zerodrift.workbench.events import (
+    CHIP_READY,
+    DIAGNOSED,
+    DIAGNOSIS,
+    PREVIEWED,
+    SENSOR,
+    SKIP_INVALID,
+    SURVEYED,
+    name_preview,
+)
+from zerodrift.workbench.jobs import EVENT_MARK
 
+PREVIEWS = 4
 MOST_STEPS = 50_000
 """Of a run: the reference takes some 0.2 ms for each."""
 AT_ONCE = 2048
@@ -38,24 +68,56 @@ AT_ONCE = 2048
 Answers = tuple[NDArray[np.int32], NDArray[np.uint32]]
 
 
-def prepare_chip(
-    directory: Path, result: Path, skip_invalid: bool, sensor: str | None = None
-) -> None:
+def look(project: ProjectFolder, result: Path, progress: Progress) -> None:
+    """Write the findings, with the diagnosis where one for these logs is kept."""
+    wanted = SurveyRequest(project, wants_diagnosis=False, wants_advice=False)
+    findings = survey(wanted, progress)
+    progress("writing")
+    save_findings(findings, result)
+    _tell(SURVEYED)
+
+
+def diagnose(project: ProjectFolder, result: Path, progress: Progress) -> None:
+    """Write the diagnosis, and then the curves of the effects that it names."""
+    config, dataset = open_project(project, progress)
+    catalogue = project.catalogue
+    mark = trace_provenance(config, dataset).mark
+    found = diagnose_once(config, dataset, catalogue, mark, True, progress)
+    text = json.dumps(to_json(found), ensure_ascii=False, allow_nan=False)
+    (result / DIAGNOSIS).write_text(text, encoding="utf-8")
+    _tell(DIAGNOSED)
+    if found is None:
+        return
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(10)  # the verdict is on the page; what is drawn with it comes before further curves
+    for told in list_contributions(config, dataset, catalogue, found.diagnosis, PREVIEWS, progress):
+        for run, curve in told.curves.items():
+            np.save(name_preview(result, told.effect, run), curve, allow_pickle=False)
+        _tell(PREVIEWED)
+
+
+def chip(project: ProjectFolder, result: Path, progress: Progress) -> None:
+    """Write the firmware's C as WebAssembly, the runs, and the reference's answers."""
+    prepare_chip(project, result, progress)
+    _tell(CHIP_READY)
+
+
+def prepare_chip(project: ProjectFolder, result: Path, progress: Progress = SILENT) -> None:
     """Write into `result` what the page needs to run the C of a project's, or a unit's, firmware.
 
     Raises:
         InputError: there is no firmware or no compiler, or a log cannot be read.
         CheckError: the C does not compile.
     """
-    config, dataset = open_project(directory, skip_invalid, sensor)
+    config, dataset = open_project(project, progress)
     path = config.build_directory / MODEL
     model = load_model(path)
-    print_progress("compiling to WebAssembly")
+    progress("compiling to WebAssembly")
     code = read_code(model, config.firmware_out)
     wasm = build_wasm(code)
     notes: list[str] = []
     runs, codes = _encode(config, model, dataset, notes)
-    answers = answer_by_reference(model, codes, [run.elapsed for run, _ in runs])
+    answers = answer_by_reference(model, codes, [run.elapsed for run, _ in runs], progress)
     replay = PageReplay(
         prefix=code.prefix,
         model_hash=model.hash,
@@ -69,7 +131,7 @@ def prepare_chip(
         reads=list_read(config, model),
         notes=tuple(notes),
     )
-    print_progress("writing")
+    progress("writing")
     shutil.copyfile(path, result / MODEL)
     told = zip(codes, answers, runs, strict=True)
     write_replay(result, replay, wasm, [(c, *a, measured) for c, a, (_, measured) in told])
@@ -102,7 +164,10 @@ def _describe(model: IntegerModel, run: Run, steps: int, held_out: bool) -> Repl
 
 
 def answer_by_reference(
-    model: IntegerModel, codes: Sequence[CodeArray], elapsed: Sequence[int]
+    model: IntegerModel,
+    codes: Sequence[CodeArray],
+    elapsed: Sequence[int],
+    progress: Progress = SILENT,
 ) -> list[Answers]:
     """Return the integer reference's drift [n, K] and flags [n] of several runs, all at once.
 
@@ -110,6 +175,7 @@ def answer_by_reference(
         model: the integer model.
         codes: of each run [n, C], begun at rest.
         elapsed: of each run the steps since power-on at its first.
+        progress: is told how far it is.
     """
     reference, longest = Reference(model), max(map(len, codes))
     firsts = [
@@ -120,7 +186,7 @@ def answer_by_reference(
     drift = np.empty((len(codes), longest, len(model.outputs)), dtype=np.int32)
     flags = np.empty((len(codes), longest), dtype=np.uint32)
     for start in range(0, longest, AT_ONCE):
-        print_progress(f"asking the reference: step {start} of {longest}")
+        progress(f"asking the reference: step {start} of {longest}")
         stop = min(start + AT_ONCE, longest)
         # What lies beyond a run's end is its last row again, and is not kept.
         at = np.arange(start, stop)
@@ -128,3 +194,28 @@ def answer_by_reference(
         told = reference.run(rows, state=state)
         drift[:, start:stop], flags[:, start:stop], state = told.drift, told.flags, told.state
     return [(drift[i, : len(own)], flags[i, : len(own)]) for i, own in enumerate(codes)]
+
+
+def _tell(event: str) -> None:
+    print(f"{EVENT_MARK}{event}", flush=True)
+
+
+def main() -> None:
+    """Do what the arguments say; a user's error is one message on stderr."""
+    what, directory, result = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
+    options = sys.argv[4:]
+    sensor = options[options.index(SENSOR) + 1] if SENSOR in options else None
+    project = ProjectFolder(directory, sensor, SKIP_INVALID in options)
+    try:
+        do = {"survey": look, "diagnose": diagnose, "chip": chip}[what]
+        do(project, result, Progress(Lines()))
+    except ZerodriftError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except OSError as error:
+        print(f"error: {error.filename or directory}: {error.strerror}.", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,23 +1,30 @@
-"""Finds the verdict, in the same way for `diagnose`, the report and the page."""
+"""Finds what a model lacks, in the same way for `diagnose`, the report and the page."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zerodrift.base.config import Config, EffectConfig
+from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.progress import SILENT, Progress
+from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.advice import Advice, advise
 from zerodrift.diagnosis.bad_runs import describe_bad_run
 from zerodrift.diagnosis.changes import AddCommand, extend_model, propose_command
 from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done
-from zerodrift.diagnosis.diagnose import diagnose
+from zerodrift.diagnosis.diagnose import diagnose as diagnose_once
 from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.diagnosis.explained import Sentence
 from zerodrift.diagnosis.plain_errors import tell_plain_errors
 from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.revision import list_needless
 from zerodrift.diagnosis.summary import AdviceSummary
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.unseen import describe_unseen
+from zerodrift.fleet.differing import find_differences
+from zerodrift.fleet.evidence import look_at_unit, pool_units
+from zerodrift.fleet.joint_summary import FleetDiagnosis, summarise_joint
+from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.report.results import (
     AddedEffect,
@@ -25,6 +32,8 @@ from zerodrift.report.results import (
     DiagnosisStep,
     ThermometerSummary,
 )
+from zerodrift.tasks.project import ProjectFolder, is_fleet, open_project
+from zerodrift.tasks.trust import require_trust
 
 
 @dataclass(frozen=True)
@@ -45,13 +54,74 @@ class Verdict:
         return (*before, self.diagnosis)
 
 
+@dataclass(frozen=True)
+class DiagnoseRequest:
+    """What `diagnose` is asked."""
+
+    project: ProjectFolder
+    """A fleet's, without a unit: all units speak together."""
+    auto: bool = False
+    """Whether to add what is missing, without writing it, and diagnose again until nothing is."""
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What a model lacks, with the commands that follow from it and what the logs can teach."""
+
+    verdict: Verdict
+    commands: tuple[AddCommand | None, ...]
+    """For each step, the command that adds the effect it names."""
+    advice: Advice | None
+    """None where no output moves."""
+
+    def summarise(self, directory: Path) -> DiagnoseResult:
+        """Return it as the command prints it, for a project as the user gave it."""
+        verdict, advice = self.verdict, None if self.advice is None else self.advice.summarise()
+        steps = tuple(
+            DiagnosisStep(**vars(step), command=_write(command, directory))
+            for step, command in zip(verdict.steps, self.commands, strict=True)
+        )
+        command = self.commands[-1]
+        told = summarise_diagnosis(verdict.diagnosis, command, verdict.others, advice, directory)
+        if verdict.course is None:
+            return told
+        added = tuple(
+            AddedEffect(step.effect, step.parameters, step.command)
+            for step in steps
+            if step.effect is not None
+        )
+        return replace(told, added=added, steps=steps, drop=verdict.course.drop)
+
+
+def diagnose(request: DiagnoseRequest, progress: Progress = SILENT) -> Diagnosed | FleetDiagnosis:
+    """Return which effect a model lacks, or the design of a fleet.
+
+    Raises:
+        InputError: a log is missing or wrong, or a whole fleet is to be diagnosed by itself.
+    """
+    project = request.project
+    if project.sensor is None and is_fleet(project.config):
+        if request.auto:
+            raise InputError(
+                "diagnose --auto: found a fleet; expected one model. Name a unit by --sensor, or"
+                " leave --auto out to see what all units lack."
+            )
+        return _diagnose_fleet(project, progress)
+    config, dataset = open_project(project, progress)
+    verdict = find_verdict(config, dataset, project.catalogue, auto=request.auto, say=progress)
+    progress("looking at what the logs can teach")
+    effects = config.effects if verdict.course is None else verdict.course.effects
+    commands = list_commands(config.effects, verdict.steps, project.catalogue)
+    return Diagnosed(verdict, tuple(commands), advise(config, dataset, effects))
+
+
 def find_verdict(
     config: Config,
     dataset: Dataset,
     catalogue: Catalogue,
     *,
     auto: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], None] = SILENT,
 ) -> Verdict:
     """Return what a model lacks, with remarks.
 
@@ -60,7 +130,7 @@ def find_verdict(
         dataset: its runs.
         catalogue: the known effects.
         auto: whether to add what is missing and diagnose again until nothing is.
-        say: called with a description of each stage of the work.
+        say: is told of each stage of the work.
     """
 
     def advance(kind: str) -> None:
@@ -68,7 +138,10 @@ def find_verdict(
 
     course = diagnose_until_done(config.effects, dataset, catalogue, advance) if auto else None
     if course is None:
-        effects, diagnosis = config.effects, diagnose(config.effects, dataset, catalogue, advance)
+        effects, diagnosis = (
+            config.effects,
+            diagnose_once(config.effects, dataset, catalogue, advance),
+        )
         say("leaving runs out")
         diagnosis = tell_plain_errors(diagnosis, effects, dataset, catalogue)
     else:
@@ -111,35 +184,6 @@ def _tell_steps(
     return replace(course, steps=tuple(steps))
 
 
-def summarise_verdict(
-    verdict: Verdict,
-    commands: Sequence[AddCommand | None],
-    advice: AdviceSummary | None,
-    directory: Path,
-) -> DiagnoseResult:
-    """Return the verdict as the command prints it.
-
-    Args:
-        verdict: the verdict.
-        commands: for each step, the command that adds the effect it names.
-        advice: what can be learnt from the logs.
-        directory: of the project, as the user gave it.
-    """
-    steps = tuple(
-        DiagnosisStep(**vars(step), command=_write(command, directory))
-        for step, command in zip(verdict.steps, commands, strict=True)
-    )
-    told = summarise_diagnosis(verdict.diagnosis, commands[-1], verdict.others, advice, directory)
-    if verdict.course is None:
-        return told
-    added = tuple(
-        AddedEffect(step.effect, step.parameters, step.command)
-        for step in steps
-        if step.effect is not None
-    )
-    return replace(told, added=added, steps=steps, drop=verdict.course.drop)
-
-
 def summarise_diagnosis(
     diagnosis: Diagnosis,
     command: AddCommand | None,
@@ -168,17 +212,6 @@ def _write(command: AddCommand | None, directory: Path) -> str:
     return "" if command is None else command.write(directory)
 
 
-def explain_others(others: Sequence[OtherThermometer], directory: Path) -> list[Sentence]:
-    """Return a sentence on each other thermometer that the drift follows."""
-    return [
-        Sentence(
-            f"The drift follows another thermometer, {other.signal}: {other.reason}. "
-            f"To add it: {other.command.write(directory)}"
-        )
-        for other in others
-    ]
-
-
 def list_commands(
     effects: Sequence[EffectConfig], steps: Sequence[Diagnosis], catalogue: Catalogue
 ) -> list[AddCommand | None]:
@@ -191,3 +224,34 @@ def list_commands(
         commands.append(propose_command(effects, catalogue[step.effect], step.parameters))
         effects = extend_model(effects, catalogue, step.effect, step.parameters)
     return commands
+
+
+def _diagnose_fleet(project: ProjectFolder, progress: Progress) -> FleetDiagnosis:
+    """Return the diagnosis of a design from all of its units together.
+
+    A unit whose logs cannot be read is named, and the others are examined.
+
+    Raises:
+        InputError: zerodrift.toml does not say where the units are, or none can be examined.
+    """
+    config = project.config
+    progress("looking for units")
+    require_trust(config.plugin_files, config.directory, progress)
+    catalogue = project.catalogue
+    names = find_sensors(config)
+    units, errors = [], {}
+    for number, name in enumerate(names, start=1):
+        progress(f"{name}: {number} of {len(names)}")
+        try:
+            dataset = load_dataset(configure_sensor(config, name), project.skip_invalid)
+            units.append(look_at_unit(name, dataset, catalogue, config.effects))
+        except ZerodriftError as error:
+            errors[name] = str(error)
+    if not units:
+        first = next(iter(errors.values()))
+        raise InputError(f"{config.path}: no unit of {len(names)} can be examined. {first}")
+    found = pool_units(units, catalogue, config.effects, progress)
+    progress("looking for units that differ")
+    limit = config.fleet.outlier_z
+    differ = find_differences(found.units, found.missing, catalogue, config.effects, limit)
+    return summarise_joint(config.sensor_name, found, differ, errors)

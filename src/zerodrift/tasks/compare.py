@@ -1,32 +1,38 @@
-"""The models that `compare` can hold against the logs, each as a function of a run."""
+"""A model held against the logs: the models that there are, and what comes of it."""
 
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.base.extras import PAGE, require
+from zerodrift.base.journal import write_text
+from zerodrift.base.progress import SILENT, Progress
+from zerodrift.dataset.runs import Run
 from zerodrift.dataset.units import read_unit
-from zerodrift.diagnosis.compare import Comparison, Labels, compare
+from zerodrift.diagnosis.advice import Advice, advise
+from zerodrift.diagnosis.compare import Comparison, Labels
+from zerodrift.diagnosis.compare import compare as compare_runs
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.held_out import HeldOut, hold_out
+from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.run_errors import FindUsable
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
+from zerodrift.export.compose import predict_integer
+from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.report.results import CompareResult
-
-if TYPE_CHECKING:
-    from zerodrift.diagnosis.advice import Advice
-    from zerodrift.train.compensator import Compensator
-    from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
+from zerodrift.tasks.built import read_firmware, state_uncertainty
+from zerodrift.tasks.project import ProjectFolder, open_project
+from zerodrift.train.compensator import Compensator
+from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
 
 Array = NDArray[np.float64]
 
@@ -64,29 +70,26 @@ class Predictor:
         return self.physics.find_usable
 
 
-def open_predictor(
-    kind: str | None, config: Config, dataset: Dataset, catalogue: Catalogue
-) -> Predictor:
+def open_predictor(kind: str | None, project: ProjectFolder) -> Predictor:
     """Return the model asked for, or the most complete one there is.
 
     Args:
         kind: physics | network | integer | c; None: the network if one was trained with the effects
             that zerodrift.toml has now, else physics.
-        config: the project.
-        dataset: its runs.
-        catalogue: the known effects.
+        project: the project.
 
     Raises:
         InputError: the model was not trained or exported yet, or for other outputs or effects.
     """
+    config = project.config
     if kind is None:
-        compensator, why_not = _find_compensator(config, catalogue)
+        compensator, why_not = _find_compensator(config, project.catalogue)
         if compensator is not None:
             return _open_network(compensator)
-        return _open_physics(config, dataset, catalogue, why_not)
+        return _open_physics(project, why_not)
     if kind == PHYSICS:
-        return _open_physics(config, dataset, catalogue)
-    compensator = _load_compensator(config, catalogue)
+        return _open_physics(project)
+    compensator = Compensator.load(config.build_directory, project.catalogue)
     _refuse_other(compensator, config)
     if kind == NETWORK:
         return _open_network(compensator)
@@ -94,19 +97,18 @@ def open_predictor(
 
 
 def compare_predictor(
-    predictor: Predictor, config: Config, dataset: Dataset, most: int = MOST_SEGMENTS
+    predictor: Predictor, project: ProjectFolder, most: int = MOST_SEGMENTS
 ) -> Comparison:
     """Return the comparison of a model with the measurements.
 
     Args:
         predictor: the model.
-        config: the project.
-        dataset: its runs.
+        project: whose runs are compared.
         most: how many of the worst segments to keep.
     """
-    units = {name: read_unit(column) for name, column in config.inputs.items()}
-    return compare(
-        dataset,
+    units = {name: read_unit(column) for name, column in project.config.inputs.items()}
+    return compare_runs(
+        project.dataset,
         predictor.predict,
         held_out=predictor.held_out,
         tared=predictor.tared,
@@ -117,6 +119,24 @@ def compare_predictor(
 
 
 @dataclass(frozen=True)
+class CompareRequest:
+    """What `compare` is asked."""
+
+    project: ProjectFolder
+    model: str | None = None
+    """What predicts, one of `KINDS`; None: the most complete there is."""
+    worst: int = MOST_SEGMENTS
+    """How many of the worst segments to list."""
+    html: Path | None = None
+    """Where a page with the pictures is written."""
+
+    def __post_init__(self) -> None:
+        """Refuse a page that nothing here can draw."""
+        if self.html is not None:
+            require(PAGE, "zerodrift compare --html")
+
+
+@dataclass(frozen=True)
 class Compared:
     """The comparison of a model with the measurements, and further findings."""
 
@@ -124,12 +144,12 @@ class Compared:
     comparison: Comparison
     notes: tuple[DataNote, ...]
     """What looks wrong in the logs."""
-    advice: "Advice | None"
+    advice: Advice | None
     """What can be learnt from the logs; None where no output moves."""
-    firmware: "FirmwareSummary | None"
+    firmware: FirmwareSummary | None
     """The last firmware, where it is current."""
     firmware_note: str
-    stated: "Mapping[str, StatedUncertainty] | None" = None
+    stated: Mapping[str, StatedUncertainty] | None = None
     """The uncertainty of compensated values, by that firmware."""
 
     def summarise(self) -> CompareResult:
@@ -145,39 +165,27 @@ class Compared:
         )
 
 
-def compare_project(
-    config: Config,
-    dataset: Dataset,
-    catalogue: Catalogue,
-    *,
-    kind: str | None = None,
-    most: int = MOST_SEGMENTS,
-    say: Callable[[str], None] = lambda _: None,
-) -> Compared:
+def compare(request: CompareRequest, progress: Progress = SILENT) -> Compared:
     """Compare a project's model with its measurements.
 
-    Args:
-        config: the project.
-        dataset: its runs.
-        catalogue: the known effects.
-        kind: as `open_predictor` takes it.
-        most: how many of the worst segments to keep.
-        say: called with a description of each stage of the work.
-
     Raises:
-        InputError: the model was not trained or exported yet.
+        InputError: the model was not trained or exported yet, or the page cannot be written.
     """
-    from zerodrift.diagnosis.advice import advise
-    from zerodrift.diagnosis.referee import review_logs
-    from zerodrift.tasks.built import read_firmware, state_uncertainty
-
-    say("fitting")
-    predictor = open_predictor(kind, config, dataset, catalogue)
-    say("comparing")
-    comparison = compare_predictor(predictor, config, dataset, most)
-    say("looking at what the logs can teach")
+    config, dataset = open_project(request.project, progress)
+    progress("fitting")
+    predictor = open_predictor(request.model, request.project)
+    progress("comparing")
+    comparison = compare_predictor(predictor, request.project, request.worst)
+    progress("looking at what the logs can teach")
     advice = advise(config, dataset)
     firmware, _, note = read_firmware(config)
+    if request.html is not None:
+        # Plotly is an extra
+        from zerodrift.report.figures import draw_comparison, render_page
+
+        figures = draw_comparison(dataset, predictor.predict, comparison)
+        page = render_page(f"{config.sensor_name}: model against measurements", figures)
+        write_text(request.html, page, config.directory)
     return Compared(
         predictor,
         comparison,
@@ -189,41 +197,28 @@ def compare_project(
     )
 
 
-def _open_physics(
-    config: Config, dataset: Dataset, catalogue: Catalogue, notes: tuple[str, ...] = ()
-) -> Predictor:
-    model = fit_config(config, dataset, catalogue)
-    return Predictor(
-        PHYSICS,
-        model.predict,
-        model,
-        hold_out(model, dataset),
-        (*notes, *model.notes),
-    )
-
-
-def _load_compensator(config: Config, catalogue: Catalogue) -> "Compensator":
-    from zerodrift.train.compensator import Compensator
-
-    return Compensator.load(config.build_directory, catalogue)
+def _open_physics(project: ProjectFolder, notes: tuple[str, ...] = ()) -> Predictor:
+    model = fit_config(project.config, project.dataset, project.catalogue)
+    held_out = hold_out(model, project.dataset)
+    return Predictor(PHYSICS, model.predict, model, held_out, (*notes, *model.notes))
 
 
 def _find_compensator(
     config: Config, catalogue: Catalogue
-) -> tuple["Compensator | None", tuple[str, ...]]:
+) -> tuple[Compensator | None, tuple[str, ...]]:
     """Return the trained compensator with a network, or None and why there is none to use."""
     is_there = (config.build_directory / "compensator.json").exists()
     if config.network.kind == "none" or not is_there:
         return None, ()
     try:
-        compensator = _load_compensator(config, catalogue)
+        compensator = Compensator.load(config.build_directory, catalogue)
         _refuse_other(compensator, config)
     except InputError as error:
         return None, (f"the trained network is not used: {error}",)
     return (compensator if compensator.network is not None else None), ()
 
 
-def _refuse_other(compensator: "Compensator", config: Config) -> None:
+def _refuse_other(compensator: Compensator, config: Config) -> None:
     """Refuse a compensator whose outputs or effects are not those of zerodrift.toml."""
     build = config.build_directory / "compensator.json"
     outputs = tuple(output.name for output in config.outputs)
@@ -249,7 +244,7 @@ def _refuse_other(compensator: "Compensator", config: Config) -> None:
         )
 
 
-def _open_network(compensator: "Compensator") -> Predictor:
+def _open_network(compensator: Compensator) -> Predictor:
     return Predictor(
         NETWORK,
         compensator.predict,
@@ -258,14 +253,16 @@ def _open_network(compensator: "Compensator") -> Predictor:
     )
 
 
-def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Predictor:
+def _open_integer(kind: str, compensator: Compensator, config: Config) -> Predictor:
     """Return the integer model, computed by its reference in Python or by its C on this host.
 
     Where coefficients lie in a block it is what the program computes with the unit's block.
     """
-    from zerodrift.export.compose import predict_integer
-    from zerodrift.export.model_files import load_model
+    # what builds firmware loads onnxruntime: 50 MB of address space, of which `--help` has 700
+    from zerodrift.c_runtime.host import HostModel
+    from zerodrift.codegen.generate import generate
     from zerodrift.tasks.deployed_block import find_deployed_block
+    from zerodrift.verify.errors_told import predict_by_c
 
     model = load_model(config.build_directory / "model.json")
     block = find_deployed_block(config)
@@ -274,10 +271,6 @@ def _open_integer(kind: str, compensator: "Compensator", config: Config) -> Pred
     physics = compensator.physics
     if kind == INTEGER:
         return Predictor(INTEGER, lambda run: predict_integer(model, run), physics, notes=notes)
-    from zerodrift.c_runtime.host import HostModel
-    from zerodrift.codegen.generate import generate
-    from zerodrift.verify.errors_told import predict_by_c
-
     with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:
         host = HostModel(model, generate(model), Path(scratch), observe=False)
     return Predictor(C, lambda run: predict_by_c(host, run), physics, notes=notes)
