@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.bridges import predict_along
@@ -48,7 +49,6 @@ from zerodrift.train.onnx_network import OnnxNetwork
 if TYPE_CHECKING:  # torch is not needed to read what training left
     from zerodrift.train.compensator import Compensator
 
-Array = NDArray[np.float64]
 
 OUTPUT_STEPS = 1e6
 """One count of an output is the power of ten at or below full scale / 1e6."""

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
@@ -13,8 +13,6 @@ from zerodrift.export.compose import list_outputs
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.onnx_reader import ImportedNetwork
 from zerodrift.operations.backend import GraphOperations
-
-Array = NDArray[np.float64]
 
 TEMPERATURE = "temperature"
 """Name of the feature that is the chip's own thermometer; others are names of [inputs]."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.conversion_config import ConversionConfig, junction_formula, sum_formula
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.conversions import convert
@@ -15,7 +15,6 @@ from zerodrift.dataset.thermocouples import measure_slope
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
 from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
 
-Array = NDArray[np.float64]
 Exact = Callable[[Array], Array]
 
 TOLERANCE_LSB = 0.48

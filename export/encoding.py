@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.raw_codes import RawRange, find_code
 from zerodrift.export.integer_model import Channel, IntegerModel, order_conversions
 from zerodrift.operations.arithmetic import CodeArray, IntArray
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def find_held(channel: Channel) -> tuple[float, float]:

@@ -4,12 +4,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.runs import Run
-
-Array = NDArray[np.float64]
 
 MOST_ROUNDS = 200
 SETTLED = 1e-9

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import TRAIN, require
@@ -36,7 +37,6 @@ if TYPE_CHECKING:  # PyTorch is loaded where something is tuned
 
 FOLDER, LAYERS = "int8", "layers.npz"
 """Of the build directory, where the fine-tuned layers are kept."""
-Array = NDArray[np.float64]
 Report = Callable[[float, float], None]
 GRU_ARRAYS = ("w_x", "w_h", "bias")
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.code_format import TEMPERATURE
 from zerodrift.dataset.runs import Run
@@ -22,8 +23,6 @@ from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
 from zerodrift.physics.summary import ModelSummary
-
-Array = NDArray[np.float64]
 
 LOAD = "load:"
 """What names of the graph's signals of loads begin with."""

@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.onnx_network import OnnxNetwork
-
-Array = NDArray[np.float64]
 
 STEPS_AT_ONCE = 10_000
 

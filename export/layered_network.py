@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.onnx_network import OnnxNetwork
 
-Array = NDArray[np.float64]
 Recurrent = FloatGru | FloatLstm
 Still = FloatDense | FloatLayerNorm
 """A layer that carries nothing."""

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import onnx
 
+from zerodrift.base.arrays import Array
 from zerodrift.export.onnx_min_gru import identify_min_gru
 from zerodrift.export.onnx_parts import (
-    Array,
     Asking,
     CellPart,
     FoundCell,

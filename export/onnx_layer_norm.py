@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.export.onnx_shapes import Attributes, pick_array
 from zerodrift.export.onnx_values import (
     Moment,
@@ -23,7 +23,6 @@ from zerodrift.export.onnx_values import (
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.layer_norm import FloatLayerNorm
 
-Array = NDArray[np.float64]
 OUTSIDE = (
     "it uses a mean or a deviation over the features of a sample outside a layer normalisation,"
     " (x - mean) / sqrt(mean((x - mean)^2) + epsilon), which is what the chip can do of it. Export"

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import onnx
 
+from zerodrift.base.arrays import Array
 from zerodrift.export.onnx_parts import (
-    Array,
     Asking,
     CellPart,
     FoundCell,

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.export.onnx_layer_norm import layer_norm, reduce_mean
 from zerodrift.export.onnx_recurrent import gru, lstm
 from zerodrift.export.onnx_shapes import (
@@ -35,8 +35,6 @@ from zerodrift.export.onnx_values import (
     join_signals,
 )
 from zerodrift.operations.dense import FloatDense
-
-Array = NDArray[np.float64]
 
 SUPPORTED = (
     "supported are forward GRUs and LSTMs with sigmoid and tanh; changes of shape; Add, Sub, Mul,"

@@ -8,12 +8,11 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.gru.onnx import to_onnx_gates as gru_to_onnx
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.lstm.onnx import to_onnx_gates as lstm_to_onnx
-
-Array = NDArray[np.float64]
 
 EXACT = 1e-9
 """Relative: what is left where the equations hold, in float64."""

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 from onnx import numpy_helper
 
 from zerodrift.base.errors import InputError, nearest
@@ -46,7 +45,6 @@ __all__ = [
     "read_network_bytes",
 ]
 
-Array = NDArray[np.float64]
 
 OLDEST_OPSET = 7
 MOST_NODES = 100_000

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
@@ -27,8 +28,6 @@ from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.formats import COEFFICIENT_LIMIT
 from zerodrift.operations.graph import Node
 from zerodrift.operations.signals import Signal
-
-Array = NDArray[np.float64]
 
 FEATURE_HEADROOM = 2.0
 """A feature may grow to this multiple of its calibrated maximum before it saturates: a lag of the

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, choose_exponent
 from zerodrift.operations.gru.cell import GATES, FloatGru, IntegerGru
 from zerodrift.operations.lstm.cell import FloatLstm
 
-Array = NDArray[np.float64]
 SHIFT_LIMIT = 30
 """Largest shift from an accumulator to the table; weights so small gain nothing from more."""
 

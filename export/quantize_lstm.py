@@ -12,7 +12,6 @@ from zerodrift.operations.lstm.cell import (
     IntegerLstm,
 )
 
-Array = NDArray[np.float64]
 LARGEST_CODE = 32768.0
 
 

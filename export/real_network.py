@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.layered_network import FloatLayeredNetwork
@@ -16,7 +17,6 @@ from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers
 from zerodrift.operations.signals import Signal, constant
 
-Array = NDArray[np.float64]
 STATE_BITS = 30
 
 

@@ -10,8 +10,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.records import OPTIONAL, from_json, to_dict
@@ -27,8 +27,6 @@ from zerodrift.train.front_end import FrontEnd
 from zerodrift.train.lag_bank.model import LagBank, LagBankRecord
 from zerodrift.train.onnx_export import read_onnx_layers, read_onnx_weights
 from zerodrift.train.onnx_network import OnnxNetwork
-
-Array = NDArray[np.float64]
 
 FORMAT = 3
 """Version of compensator.json; another one is refused."""

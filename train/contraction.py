@@ -26,12 +26,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from zerodrift.base.arrays import Array
 from zerodrift.train.sequences import Sequence32
 
-Array = NDArray[np.float64]
 GROWTH = 0.5
 """What a step adds at most to errors of the states that are all 1, for what it forgets of them."""
 SLOWEST = 7.0

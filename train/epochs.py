@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zerodrift.base.arrays import Array
 from zerodrift.train.attempts import Attempt, Problem, Standing, Stored
 from zerodrift.train.contraction import measure_reach
 from zerodrift.train.courses import (
@@ -21,8 +22,6 @@ from zerodrift.train.courses import (
 )
 from zerodrift.train.head_limit import measure_swing
 from zerodrift.train.optimise import Stack, draw_seed, explain_divergence, one_cycle
-
-Array = NDArray[np.float64]
 
 WINDOWS_AT_ONCE = 4096
 """Windows of a network that are judged together: enough to keep the loop over time short."""

@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
 from zerodrift.operations.graph import Node
 
-Array = NDArray[np.float64]
 S = TypeVar("S")
 
 MAX_TAPS = 8

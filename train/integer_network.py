@@ -19,13 +19,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.dense import COPY_BITS, IntegerDense
 from zerodrift.operations.gru.cell import FloatGru, IntegerGru
 from zerodrift.train.networks import Network, Parameters, read_array
 from zerodrift.train.recurrence import GruTrace, GruWeights, run_backward
-
-Array = NDArray[np.float64]
 
 Quantizer = Callable[[Sequence[FloatGru]], Sequence[IntegerGru]]
 """What turns the weights in training into those of the chip, layer by layer from the bottom."""

@@ -10,13 +10,11 @@ out best is taken; a second one only when it earns its place.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.linear import collect_moments, score_left_out, stack_centred
-
-Array = NDArray[np.float64]
 
 GRID, REFINE = 16, 9
 """Time constants that are tried, evenly spaced in the logarithm; then again around the best."""

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
-
-Array = NDArray[np.float64]
 
 BLOCKS = 5
 """A single run is left out in this many blocks of time."""

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import CONSTRAINTS, NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
@@ -24,7 +24,6 @@ from zerodrift.train.head_limit import limit_head
 from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
 from zerodrift.train.recurrence import GruWeights, run_gru, settle
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, Tensor]
 """Those of S networks of one kind by name, each [S, ...]."""
 

@@ -14,6 +14,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.operations.gru.cell import FloatGru
@@ -21,8 +22,6 @@ from zerodrift.operations.gru.onnx import from_onnx_gates, to_onnx_gates
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.lstm.onnx import from_onnx_gates as lstm_from_onnx
 from zerodrift.operations.lstm.onnx import to_onnx_gates as lstm_to_onnx
-
-Array = NDArray[np.float64]
 
 OPSET, IR_VERSION = 17, 8
 """Old enough for every runtime in use, new enough for Squeeze with its axes as an input."""

@@ -5,8 +5,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.onnx_export import read_onnx_recurrent
@@ -14,7 +14,6 @@ from zerodrift.train.onnx_export import read_onnx_recurrent
 if TYPE_CHECKING:
     import onnxruntime
 
-Array = NDArray[np.float64]
 
 WINDOWS_AT_ONCE = 4096
 

@@ -11,7 +11,6 @@ from torch import Tensor
 from zerodrift.base.errors import InputError
 from zerodrift.train.networks import Network
 
-Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 CYCLE_START, CYCLE_END = 1 / 25, 1e-4

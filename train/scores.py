@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.split import Split
-
-Array = NDArray[np.float64]
 
 WORTH_ITS_FLASH = 0.97
 """What learns the rest is kept if it brings the error on held-out runs below this multiple."""

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.thermometers import list_thermometers
@@ -16,8 +16,6 @@ from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lags import choose_lags
 from zerodrift.train.linear import fit_linear
 from zerodrift.train.sequences import Sequence32
-
-Array = NDArray[np.float64]
 
 SPACING_S = 10.0
 """Between the samples of a window: at 0.1 s the thermometer's noise hides the slope."""

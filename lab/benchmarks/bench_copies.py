@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import beta
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.copies import LEAST_ROWS, SharedRows, confirm, find_alignments, mark_run
-from zerodrift.dataset.runs import Array
 from zerodrift_lab.twin import Recipe, simulate
 
 SEEDS = 20

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.black_box.signals import (
     ELAPSED,
@@ -23,8 +23,6 @@ from zerodrift.train.black_box.signals import (
     measure_unit,
 )
 from zerodrift.train.refits import split_parts
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 6_000
 """Block means of all runs together that a bank is fitted to."""

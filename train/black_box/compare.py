@@ -3,9 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.base.arrays import Array
 from zerodrift.base.extras import TRAIN, is_there, tell_install
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, HeldOut, hold_out
@@ -14,8 +12,6 @@ from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.black_box.bank import learn_bank
 from zerodrift.train.black_box.signals import Lesson, pose
-
-Array = NDArray[np.float64]
 
 LAG_BANK, GRU = "lag bank", "GRU"
 FEWEST_RUNS = 3

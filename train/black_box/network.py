@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError
 from zerodrift.train.black_box.signals import Lesson, average, choose_block, measure_unit
@@ -15,8 +15,6 @@ from zerodrift.train.networks import Network, build_network
 from zerodrift.train.prepare import read_settings
 from zerodrift.train.refits import split_parts
 from zerodrift.train.sequences import Sequence32
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 12_000
 """Rows of all runs together; longer logs are shown as block means."""

@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.model import PhysicalModel
-
-Array = NDArray[np.float64]
 
 ELAPSED = "elapsed"
 """The seconds of a stretch, as a signal."""

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass, lowpass_slope
 from zerodrift.train.front_end import read_source
 
-Array = NDArray[np.float64]
 Lag = tuple[int, float]
 """Place of the thermometer, time constant in seconds."""
 

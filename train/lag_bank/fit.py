@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.bridges import join_stretches
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.fit import TARE_RATIO
@@ -17,8 +18,6 @@ from zerodrift.train.lag_bank.model import LagBank
 from zerodrift.train.lag_bank.search import Bank, LeftOutJudge, Rows, choose_bank, pick
 from zerodrift.train.lag_bank.unit_choice import Choice, choose_units
 from zerodrift.train.lag_bank.units import fit_linear
-
-Array = NDArray[np.float64]
 
 UNITS = 16
 """tanh units, where they help."""

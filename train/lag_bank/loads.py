@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.model import PhysicalModel
@@ -27,7 +28,6 @@ from zerodrift.train.lag_bank.model import (
 from zerodrift.train.lag_bank.projection import solve_ridge
 from zerodrift.train.lag_bank.search import Bank, Rows, pick
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 LOAD_SHARE = 1e-3

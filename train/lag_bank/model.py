@@ -5,15 +5,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
 from zerodrift.operations.graph import Node
 from zerodrift.train.front_end import read_source
 from zerodrift.train.lag_bank.data import DEGREE, Lag, Scale
 
-Array = NDArray[np.float64]
 S = TypeVar("S")
 
 LOAD = "load:"

@@ -7,10 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
 from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, minimise, solve_ridge
-
-Array = NDArray[np.float64]
 
 GRID = 14
 """Time constants that are tried per thermometer, evenly spaced in the logarithm."""

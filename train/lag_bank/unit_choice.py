@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lag_bank.data import DEGREE, Lag
@@ -17,8 +18,6 @@ from zerodrift.train.lag_bank.units import (
     fit_member,
     measure_left_out,
 )
-
-Array = NDArray[np.float64]
 
 FEW_UNITS = 4
 STARTS = (2, 1)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, minimise, solve_ridge
 from zerodrift.train.lag_bank.search import Rows
-
-Array = NDArray[np.float64]
 
 PRIOR = 1e-5
 """Weight per row of a unit's own weights squared: units that are not needed stay straight."""

@@ -5,16 +5,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import tell_install
 from zerodrift.dataset.runs import Run
 from zerodrift_lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift_lab.methods.networks import WINDOW
 from zerodrift_lab.methods.windows import fit_windows
-
-Array = NDArray[np.float64]
 
 KERNEL_ROWS = 3000
 """Training rows of the kernel methods, evenly drawn: their cost grows with the square or cube."""

@@ -5,12 +5,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
-
-Array = NDArray[np.float64]
 
 RECIPE, QUICK = "recipe", "quick"
 SCHEDULES = (RECIPE, QUICK)

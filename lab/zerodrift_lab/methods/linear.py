@@ -4,13 +4,11 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift_lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift_lab.methods.windows import fit_windows
-
-Array = NDArray[np.float64]
 
 
 def make_least_squares(degree: int) -> Fit:

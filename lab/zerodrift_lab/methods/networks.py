@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.train.networks import (
@@ -27,8 +27,6 @@ from zerodrift_lab.methods.interface import (
     Options,
 )
 from zerodrift_lab.methods.windows import Windows, fit_windows
-
-Array = NDArray[np.float64]
 
 HIDDEN, WINDOW = 36, 10
 """Of the paper's MLP and its sequences; its GRU's size is not given, and taken to be the same."""

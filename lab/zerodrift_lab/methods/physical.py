@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.config import Config, EffectConfig, NetworkConfig, OutputConfig
 from zerodrift.dataset.runs import Dataset, Run
@@ -21,8 +20,6 @@ from zerodrift_lab.methods.interface import (
     Options,
     list_outputs,
 )
-
-Array = NDArray[np.float64]
 
 DEFAULT_EFFECTS = (EffectConfig("dark_current"),)
 """Of an optical sensor; what its powers of two are, no few powers of the temperature can be."""

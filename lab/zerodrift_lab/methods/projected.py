@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import Tensor
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.train.networks import FORMS, GruNetwork
 from zerodrift_lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift_lab.methods.networks import AT_ONCE, WINDOW, count_macs, make_gru
 from zerodrift_lab.methods.windows import Windows, fit_windows
-
-Array = NDArray[np.float64]
 
 STAGES = ((4, 50), (1, 20))
 """Neighbouring windows that are averaged, and evaluations of the error and its gradient."""

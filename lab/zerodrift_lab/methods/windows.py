@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.train.front_end import TEMPERATURE, read_source
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift_lab.methods import METHODS, Options
 from zerodrift_lab.methods.interface import Fitted
@@ -25,7 +25,6 @@ from zerodrift_lab.paper.world import (
 )
 from zerodrift_lab.twin.sensor import FULL_SCALE, OUTPUTS
 
-Array = NDArray[np.float64]
 Say = Callable[[int, int, str], None]
 """(done, of how many, what was done)."""
 

@@ -4,12 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift_lab.paper.store import Cell
 from zerodrift_lab.paper.study import Outcome
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift_lab.twin.six_axis import (
     draw_sensor,
@@ -19,8 +19,6 @@ from zerodrift_lab.twin.six_axis import (
     record,
     to_run,
 )
-
-Array = NDArray[np.float64]
 
 BODY = "body_temperature"
 """The second thermometer, on the elastic body."""

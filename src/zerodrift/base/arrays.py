@@ -1,10 +1,13 @@
-"""Arrays as the bytes of one npz file."""
+"""What arrays are called, and arrays as the bytes of one npz file."""
 
 import io
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[np.generic]], *, compressed: bool) -> bytes:

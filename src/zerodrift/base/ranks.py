@@ -7,9 +7,8 @@ more time on the form of the question than on the answer.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 
 def find_median(values: Array) -> float:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import round_shift
@@ -19,7 +20,6 @@ from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.node import ChannelNode
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 RUNS, STEPS = 32, 600
 SLOWEST = 1e-2

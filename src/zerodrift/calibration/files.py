@@ -6,9 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
-from zerodrift.calibration.matrix import Array, CalibrationMatrix
+from zerodrift.calibration.matrix import CalibrationMatrix
 from zerodrift.calibration.summary import summarise_calibration
 
 LARGEST_ENTRY = 2.0**30

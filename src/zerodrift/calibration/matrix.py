@@ -8,11 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
-
-Array = NDArray[np.float64]
 
 SINGULAR = 1e-3
 """Smallest singular value of the scaled loads or codes, over the largest, that is accepted."""

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zerodrift.calibration.matrix import Array, CalibrationMatrix
+from zerodrift.base.arrays import Array
+from zerodrift.calibration.matrix import CalibrationMatrix
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Array, Run
+from zerodrift.base.arrays import Array
+from zerodrift.dataset.runs import Run
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,15 @@ import json
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.locate import locate_row
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import LogTable
 from zerodrift.dataset.time_units import write_local
 from zerodrift.dataset.times import find_zone
 from zerodrift.dataset.units import read_unit
 
-Mask = NDArray[np.bool_]
 Limits = tuple[float, float]
 """Lowest and highest value."""
 

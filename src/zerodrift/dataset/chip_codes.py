@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.column_config import RAW_CODES, CodesConfig
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.conversion_config import ConversionConfig, sum_formula
@@ -28,7 +29,7 @@ from zerodrift.dataset.raw_codes import (
     find_linear,
     find_range,
 )
-from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.tables import label_log
 from zerodrift.dataset.thermocouples import emf, find_span
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zerodrift.dataset.runs import Array
+from zerodrift.base.arrays import Array
 
 SMOOTHED_PERIODS = 8
 """Half width, in periods of the slower log, of the triangle that both are smoothed with."""

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import guess_temperature_unit
 from zerodrift.dataset.raw_codes import RawCover, RawRange
-from zerodrift.dataset.runs import Array, Run
+from zerodrift.dataset.runs import Run
 
 TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
 """Sources of codes: the thermometer, `measured:Fz` of an output, or an input; one is the clock."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from zerodrift.dataset.runs import Array
+from zerodrift.base.arrays import Array
 
 
 class GrowingColumns:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.conversion_config import FACTORS, ConversionConfig
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.thermocouples import emf, invert
 
 KELVIN = 273.15

@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.ranks import find_median
 from zerodrift.dataset.read_runs import ReadRun, ReadRuns
 from zerodrift.dataset.resolution import (
@@ -25,7 +26,6 @@ from zerodrift.dataset.resolution import (
     list_blocks,
     measure_step,
 )
-from zerodrift.dataset.runs import Array
 
 Codes = NDArray[np.uint64]
 Rows = NDArray[np.int64]

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zerodrift.dataset.runs import Array, Dataset, Run
+from zerodrift.base.arrays import Array
+from zerodrift.dataset.runs import Dataset, Run
 
 RATE_WINDOW_S = 60.0
 """Temperature rates are over this time, so that the chip's noise does not pass for a rate."""

@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import check_period
 from zerodrift.dataset.clock_difference import ClockDifference, measure_difference
 from zerodrift.dataset.logs import COMMON
 from zerodrift.dataset.resample import find_gaps
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.sampling import COARSEST
 from zerodrift.dataset.tables import LogTable
 from zerodrift.dataset.time_units import is_unix, write_local

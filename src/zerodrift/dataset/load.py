@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import DWELL, TEST, TRAIN, USES, Config, locate_key
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import check_period, guess_temperature_unit
@@ -15,7 +16,7 @@ from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.resample import MIN_STEPS, Stretch, plan_stretches
-from zerodrift.dataset.runs import Array, Dataset, Run, share_resolution
+from zerodrift.dataset.runs import Dataset, Run, share_resolution
 from zerodrift.dataset.sampling import COARSEST, Sampling, look_at_sampling
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats

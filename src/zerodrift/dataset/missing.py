@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Mask
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.tables import LogTable, write_text
-
-Mask = NDArray[np.bool_]
 
 
 def take_missing_out(

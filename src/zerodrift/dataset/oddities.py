@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.ranks import find_median, find_quantile
-from zerodrift.dataset.runs import Array, Run
+from zerodrift.dataset.runs import Run
 from zerodrift.dataset.time_units import tell_time
 
 UNIT_RATIOS = {

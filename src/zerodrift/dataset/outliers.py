@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.ranks import find_median, find_quantile
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 WHOLE, NOTHING = 6.0, 10.0

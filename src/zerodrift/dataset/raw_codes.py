@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.dataset.conversions import convert
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.thermocouples import emf, find_sure_span
 
 RAW_LIMITS = {

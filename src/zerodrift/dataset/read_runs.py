@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.resolution import find_steps
-from zerodrift.dataset.runs import Array
 
 MOST_KEPT = 1 << 23
 """Values of columns and their steps that are kept, beside those of the two runs at hand."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Array
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.sampling import look_at_sampling, measure_neighbours
 
 MIN_STEPS = 10

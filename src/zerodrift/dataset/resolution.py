@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 DIGITS = 1e-8
 """What is smaller than this share of a value is its arithmetic's, not the sensor's."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zerodrift.dataset.runs import Array
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.survey import CLOCK_WORDS, TIME_WORDS, Survey, SurveyedColumn, words
 from zerodrift.dataset.units import TEMPERATURE_UNITS, strip_unit
 

@@ -6,12 +6,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.outliers import Outliers, weigh_samples
 from zerodrift.dataset.resolution import measure_resolution
-
-Array = NDArray[np.float64]
 
 MOST_TOLD = 3
 """Runs that a sentence names."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.dataset.runs import Array
+from zerodrift.base.arrays import Array
 
 COARSEST = 1.5
 """A log whose period is more than this many steps holds too little to be brought to them."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import URL
 from zerodrift.dataset.formats.registry import FORMAT_SUFFIXES
-from zerodrift.dataset.runs import Array
 
 CSV_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 PARQUET_SUFFIXES = (".parquet", ".pq")

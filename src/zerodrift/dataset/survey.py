@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.tables import (
     PARSER_ERRORS,
     RUN_COLUMN,

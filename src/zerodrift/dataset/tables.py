@@ -13,11 +13,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.files import name_kind
 from zerodrift.dataset.columns import GrowingColumns
 from zerodrift.dataset.quotes import check_quotes
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.selectors import ARROW_SUFFIXES, PARQUET_SUFFIXES
 from zerodrift.dataset.text_format import (
     UNNAMED,

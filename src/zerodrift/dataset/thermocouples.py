@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 GRID = 1 << 14
 NEWTON_STEPS = 6

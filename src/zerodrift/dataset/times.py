@@ -16,9 +16,9 @@ from zoneinfo import ZoneInfo, available_timezones
 import numpy as np
 import polars as pl
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.clock_config import TIME_UNITS, TimeConfig, read_fixed_zone
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.runs import Array
 from zerodrift.dataset.time_formats import agree_on_formats
 from zerodrift.dataset.time_units import read_time_unit, write_local
 

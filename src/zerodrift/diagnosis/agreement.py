@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.recursion import filter_recursively
-
-Array = NDArray[np.float64]
 
 BLOCKS = 240
 """Averages of a run that are fitted."""

@@ -4,14 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.fit import fit
-
-Array = NDArray[np.float64]
 
 LINE = EffectConfig("zero_tempco", {"order": 1})
 

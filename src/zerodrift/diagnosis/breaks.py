@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
-
-Array = NDArray[np.float64]
 
 ARM = 12
 """Rows on either side of a break through which straight lines are laid."""

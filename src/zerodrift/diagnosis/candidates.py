@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.records import OPTIONAL
 from zerodrift.diagnosis.evidence import Errors, hold_out
@@ -23,8 +23,6 @@ from zerodrift.physics.projection import (
 from zerodrift.physics.search import Found, assess, search, sum_with_slopes
 from zerodrift.physics.signals import explain_missing
 from zerodrift.physics.terms import CHIP, Term, start_term
-
-Array = NDArray[np.float64]
 
 NEAR = 3.0
 """A value is near its typical range within this factor of it."""

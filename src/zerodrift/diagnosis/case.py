@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.floor import measure_floor
@@ -19,7 +19,6 @@ from zerodrift.physics.signals import SignalPlan, plan_signals
 from zerodrift.physics.terms import Term, start_term
 
 Advance = Callable[[str], None]
-Array = NDArray[np.float64]
 
 LEAST_SHARE = 1e-12
 """Share of the full scale that the floor is held above, as errors are divided by it."""

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, OutlierCount, Run, tell_outliers
 from zerodrift.diagnosis.baselines import explain_share, fit_constant
 from zerodrift.diagnosis.comparison_summary import (
@@ -26,7 +26,6 @@ from zerodrift.diagnosis.run_errors import (
 )
 from zerodrift.diagnosis.segments import MOST_SEGMENTS, Failures, find_failures
 
-Array = NDArray[np.float64]
 Predict = Callable[[Run], Array]
 
 

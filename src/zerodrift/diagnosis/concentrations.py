@@ -10,8 +10,8 @@ Source: M. Kulldorff, "A spatial scan statistic", Commun. Statist. 26 (1997).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.diagnosis.scan import (
     CONCENTRATED,
     Condition,
@@ -21,9 +21,6 @@ from zerodrift.diagnosis.scan import (
     have_say,
     like,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LEAST_CONCENTRATION = 1.5
 """Share of the error over share of the time, on runs left out."""

@@ -5,11 +5,9 @@ scores by the squared error that two levels explain, one where it holds and one 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.scan import SIGNED, Condition, Evidence, Pattern, Scan, have_say, like
-
-Array = NDArray[np.float64]
 
 
 def find_contrast(scan: Scan, output: int, error: Array, square: Array) -> list[Pattern]:

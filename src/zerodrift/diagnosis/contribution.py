@@ -4,16 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

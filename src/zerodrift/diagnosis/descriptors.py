@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
-
-Array = NDArray[np.float64]
 
 MOST_BLOCKS = 10_000
 """Blocks of all runs together; more samples than that are averaged."""

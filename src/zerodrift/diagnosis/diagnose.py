@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset, Run, count_outliers
 from zerodrift.diagnosis.case import Advance, Case, open_case
@@ -41,8 +41,6 @@ from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.effect import Effect, Values
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 MOST_EFFECTS = 4
 """Effects that are looked for together before giving up."""

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import OutlierCount, tell_outliers
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.case import Case
@@ -21,8 +21,6 @@ from zerodrift.physics.run_offsets import TREND_BY_CHANCE
 from zerodrift.physics.search import Found, search
 from zerodrift.physics.signals import explain_missing
 from zerodrift.physics.terms import tidy_terms
-
-Array = NDArray[np.float64]
 
 WANTED_RUNS = 8
 

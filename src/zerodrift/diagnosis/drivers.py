@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.lowpass import lowpass
-
-Array = NDArray[np.float64]
 
 VALUE, RATE, LAG = "value", "rate", "lag"
 FORMS = (VALUE, RATE, LAG)

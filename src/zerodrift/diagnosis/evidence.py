@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.campaign import Sums
 from zerodrift.physics.octaves import MEANS
 from zerodrift.physics.projection import Coordinate, invert_scaled, solve, step_values, weigh
-
-Array = NDArray[np.float64]
 
 FOLD_STEPS = 2
 """Gauss-Newton steps of the shared values within each fold, from the optimum over all runs."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.candidates import (
     Candidate,
@@ -32,8 +33,6 @@ from zerodrift.physics.search import Found, search, search_beyond_rails, sum_wit
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import Term
 from zerodrift.physics.tracks import build_stretches
-
-Array = NDArray[np.float64]
 
 PRIOR_COUNT = 8.0
 """The dwell counts as this many coefficients per octave beside those that the runs leave over."""

@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.projection import invert_scaled, list_coordinates, set_coordinates
 from zerodrift.physics.reduction import combine
 from zerodrift.physics.search import Found, grid, list_slopes
 from zerodrift.physics.terms import Term, name_feature
-
-Array = NDArray[np.float64]
 
 LEAST_EXCITATION = 0.05
 """Share of an effect that the model cannot imitate, below which it cannot be tested."""

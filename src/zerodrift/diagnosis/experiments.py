@@ -9,16 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.effect import Signals
 from zerodrift.physics.projection import Solution
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import Term, build_features
-
-Array = NDArray[np.float64]
 
 STEPS = 7200
 """Simulated seconds of each experiment."""

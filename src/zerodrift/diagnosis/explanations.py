@@ -11,16 +11,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.agreement import FEWEST_RUNS, Bench, RunAgreement, RunReading
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.misfits import WRONG_GAIN, tell_gain
 from zerodrift.diagnosis.sentinels import tell_wild
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 KELVIN, FAHRENHEIT = 273.15, 1.8
 EXPLAINED = 0.4

@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect, Signals
 from zerodrift.physics.terms import build_features, start_term
-
-Array = NDArray[np.float64]
 
 DURATION_S = 7200.0
 STEPS = 3600

@@ -4,16 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, share_resolution
 from zerodrift.diagnosis.noise import describe_noise, measure_noise
 from zerodrift.diagnosis.unexplained import Unexplained
 from zerodrift.physics.live import find_live
 from zerodrift.physics.octaves import cut_octaves
-
-Array = NDArray[np.float64]
 
 DWELL = "dwell"
 ESTIMATED = "estimated"

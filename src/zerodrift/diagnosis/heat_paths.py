@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.memory import MemoryTable
-
-Array = NDArray[np.float64]
 
 ANOTHER_WAY = 1.8
 """A run was heated another way if the others' lags leave this many times what its own leave."""

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.campaign import Sums
 from zerodrift.physics.effect import Feature
@@ -30,8 +30,6 @@ from zerodrift.physics.projection import (
 )
 from zerodrift.physics.terms import Term, begin_at_rest
 from zerodrift.physics.tracks import build_stretches
-
-Array = NDArray[np.float64]
 
 BLOCKS = 8
 """A single run is cut into this many stretches of time, each left out in turn."""

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.evidence import SURE_NATS, Errors, compare_likelihoods
 from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut
 from zerodrift.diagnosis.run_errors import RunError, pool_rmse, pool_steady_rmse
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.physics.octaves import MEANS, cut_octaves
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 WORTHWHILE = 0.985

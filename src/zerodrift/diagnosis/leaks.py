@@ -13,13 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
-
-Array = NDArray[np.float64]
 
 CHANCE = 1e-6
 """Probability that any pair of independent runs is told, over all comparisons made."""
@@ -44,7 +42,7 @@ REACH = 2
 
 
 @dataclass(frozen=True)
-class Noise:
+class RunNoise:
     """What is fast in a run's channels; None of a channel that has no noise of its own."""
 
     outputs: tuple[Array | None, ...]
@@ -81,7 +79,7 @@ def find_leaks(train: Sequence[Run], test: Sequence[Run], outputs: Sequence[str]
 
 
 def _compare(
-    run: Run, other: Run, ours: Noise, theirs: Noise, tests: int
+    run: Run, other: Run, ours: RunNoise, theirs: RunNoise, tests: int
 ) -> tuple[str, int, int] | None:
     """Return what is told of two runs, their shift in rows, and the output; None: independent."""
     pairs = _pair(ours.outputs, theirs.outputs)
@@ -153,7 +151,7 @@ def _spread(x: Array) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(x, 2))) / np.sqrt(6.0))
 
 
-def _list_noise(run: Run) -> Noise:
+def _list_noise(run: Run) -> RunNoise:
     """Return the noise of each channel of a run."""
     inputs = [x for name, x in run.inputs.items() if name != "clock"]
     signals = [run.temperature_degC, *run.reference.T, *inputs]
@@ -168,7 +166,7 @@ def _list_noise(run: Run) -> Noise:
     if beside[0] is None and np.any(changes[0]):
         # The rows at which a coarse thermometer steps are its noise: no oven repeats them.
         beside[0] = np.sign(changes[0])
-    return Noise(tuple(outputs), tuple(beside))
+    return RunNoise(tuple(outputs), tuple(beside))
 
 
 def _cut(noise: Array, largest: float) -> Array | None:

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.live import find_live
 
-Array = NDArray[np.float64]
 TakeColumns = Callable[[slice], list[Array]]
 """Rows of a run -> some of its columns there, [n] each."""
 

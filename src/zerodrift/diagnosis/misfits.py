@@ -3,13 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.agreement import FEWEST_ROWS, FEWEST_RUNS
 from zerodrift.diagnosis.data_notes import DataNote
-
-Array = NDArray[np.float64]
 
 WRONG_GAIN = 0.15
 """A gain is wrong if it is off by more than this share."""

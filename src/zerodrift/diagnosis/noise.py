@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.octaves import MEANS, WITHIN_BLOCKS, cut_octaves
-
-Array = NDArray[np.float64]
 
 PRIOR_COUNT = 2.0
 """Coefficients that the mean over all octaves counts for, at the start of the fit."""

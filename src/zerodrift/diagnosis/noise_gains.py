@@ -8,14 +8,12 @@ elsewhere, its unit or gain is another, whatever the run was for.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.agreement import FEWEST_ROWS, FEWEST_RUNS
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.misfits import tell_gain
-
-Array = NDArray[np.float64]
 
 LOUDER = 5.0
 """A column's noise is another's if it differs by this factor from all of the others', ..."""

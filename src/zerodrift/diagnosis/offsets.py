@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.candidates import Proposal, propose
 from zerodrift.operations.graph import Node
@@ -25,8 +25,6 @@ from zerodrift.physics.run_offsets import (
 from zerodrift.physics.search import Found, grid, search
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 RUNS_PER_COLUMN = 3
 """Columns that may explain the runs' offsets need this many runs each, the constant too, ..."""

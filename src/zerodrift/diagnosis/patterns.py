@@ -5,13 +5,11 @@ that fail in the same place are told by the same words: the cause is one.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.concentrations import find_concentrations, find_place
 from zerodrift.diagnosis.contrasts import find_contrast
 from zerodrift.diagnosis.scan import Pattern, Scan
-
-Array = NDArray[np.float64]
 
 ALL = -1
 """Number that stands for all outputs together; no descriptor is of this one alone."""

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import extend_model
@@ -18,8 +18,6 @@ from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.left_out import leave_out
 from zerodrift.diagnosis.run_errors import pool_rmse, pool_steady_rmse
 from zerodrift.physics.catalogue import Catalogue
-
-Array = NDArray[np.float64]
 
 
 def tell_plain_errors(

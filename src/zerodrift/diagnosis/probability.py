@@ -11,11 +11,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
-
-Array = NDArray[np.float64]
 
 MAPS = Path(__file__).with_name("probability.txt")
 CANDIDATE, NOTHING, ELSE = "candidate", "nothing_missing", "something_else"

@@ -7,7 +7,6 @@ same way is left to the diagnosis.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
@@ -38,7 +37,6 @@ OF_A_COLUMN = (
 """What one column shows where it may be the run that is wrong: a thermometer in an output's column,
 or another sensor's log."""
 OF_REFERENCE = "reference of "
-Array = NDArray[np.float64]
 
 FURTHER = 0.1
 """Share of the training logs' span by which test logs may reach further."""

@@ -4,14 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.misfits import tell_gain
-
-Array = NDArray[np.float64]
 
 APART = 3
 """Rows over which changes are taken: drift is slower, loads are not."""

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.signals import SignalPlan, read_signals
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 12_000
 BINS = 16

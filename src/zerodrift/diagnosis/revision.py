@@ -7,9 +7,7 @@ Their errors are told beside, where there are any.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.candidates import are_sound
@@ -24,8 +22,6 @@ from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit, fit_config
 from zerodrift.physics.model import FittedTerm, PhysicalModel
 from zerodrift.physics.summary import describe_coefficients, describe_parameters
-
-Array = NDArray[np.float64]
 
 LOWER = 0.995
 """An effect is needless if the error without it is below this share of what it is with it."""

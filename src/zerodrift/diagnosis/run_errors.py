@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 
-Array = NDArray[np.float64]
 FindUsable = Callable[[Run], NDArray[np.bool_]]
 
 

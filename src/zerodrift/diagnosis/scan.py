@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.diagnosis.descriptors import Descriptor
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LEAST_SHARE = 0.3
 """Share of the squared error, on runs left out, that a pattern must hold or explain."""

@@ -4,15 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.descriptors import Blocks, cut_blocks, describe
 from zerodrift.diagnosis.patterns import find_patterns
 from zerodrift.diagnosis.scan import CONCENTRATED, Pattern, Scan
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 NO_PATTERN = "no pattern found"
 CLOSED_GAP = 3

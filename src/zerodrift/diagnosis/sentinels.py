@@ -10,11 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 RECURS = 3
 """Rows with the value, at least: two single rows may be the two ends of one disturbance."""

@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.copies import measure_white_noise
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 ABOVE_NOISE = 3.0
 """Half-widths of a play, in standard deviations of its signal's noise, that smooth nothing."""

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.outliers import find_jumps
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.physics.rails import FEWEST_VISITS, find_rails
-
-Array = NDArray[np.float64]
 
 FEWEST_STANDING = 30
 """Samples for which a column must stand, ..."""

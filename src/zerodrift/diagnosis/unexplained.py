@@ -9,13 +9,11 @@ predicts badly beyond the logs, and is used for nothing else.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.operations.recursion import filter_recursively
 from zerodrift.physics.projection import invert_scaled
-
-Array = NDArray[np.float64]
 
 MEMORIES = (8.0, 64.0, 512.0, 4096.0)
 """Time constants of the memory that the regression has, samples."""

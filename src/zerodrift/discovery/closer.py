@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.candidates import AT_AN_END, AT_AN_END_UNITS, OF_WHAT_IS_LEFT
 from zerodrift.diagnosis.examination import LIKE_BEST, LIKE_BEST_UNITS
 from zerodrift.discovery.contenders import (
@@ -27,8 +28,6 @@ from zerodrift.discovery.criterion import Judge, Told
 from zerodrift.discovery.patterns import Space
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.projection import get_coordinates
-
-Array = NDArray[np.float64]
 
 CLOSE = {1: 25, 2: 7, 3: 4}
 """Values of each shared parameter of a rival, by how many it has."""

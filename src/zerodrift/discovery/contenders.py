@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.diagnosis.candidates import NEAR
@@ -32,8 +32,6 @@ from zerodrift.physics.projection import (
 from zerodrift.physics.search import Found, assess, search, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing
 from zerodrift.physics.terms import Term, start_term
-
-Array = NDArray[np.float64]
 
 NODES = {1: 7, 2: 4, 3: 3}
 """Values of each shared parameter of a rival, by how many it has."""

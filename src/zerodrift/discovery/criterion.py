@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.evidence import FEWEST_COEFFICIENTS
 from zerodrift.diagnosis.examination import TIME_ALONE
@@ -25,8 +26,6 @@ from zerodrift.discovery.stage import Staged, Whitening, make_signals, make_whit
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.signals import read_signals
 from zerodrift.physics.terms import Term, build_features
-
-Array = NDArray[np.float64]
 
 ROWS = 192
 """Blocks of a log that are simulated, in a search."""

@@ -13,9 +13,9 @@ benchmarks.study_few_logs`) the likeliest is 2.5, and the one below is less like
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.evidence import SURE_NATS
 from zerodrift.diagnosis.judgement import MANY_RUNS
 from zerodrift.diagnosis.rules import (
@@ -27,8 +27,6 @@ from zerodrift.diagnosis.rules import (
     WORTHWHILE_ON_ONE,
 )
 from zerodrift.discovery.criterion import Told
-
-Array = NDArray[np.float64]
 
 APART = (-0.2, 2.4)
 """Offset and slope of being told from the nearest rival."""

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import hadamard
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.experiment_config import Reach
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.programme import Log, SetProgramme, Setting
-
-Array = NDArray[np.float64]
 
 SEGMENTS = 5
 PATTERNS = 2

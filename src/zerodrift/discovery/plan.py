@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
@@ -35,8 +35,6 @@ from zerodrift.discovery.search import Best, find_programme, list_designs
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import start_term
-
-Array = NDArray[np.float64]
 
 HOURS = 8.0
 BUDGET_S = 60.0

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Dataset, Run
@@ -29,8 +29,6 @@ from zerodrift.discovery.programme import SetProgramme
 from zerodrift.discovery.search import list_designs
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.projection import list_coordinates
-
-Array = NDArray[np.float64]
 
 DRIFT = 0.01
 """RMS of the drift over full scale before the first log, over a programme that moves everything."""

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.discovery.contenders import Truth
@@ -17,8 +17,6 @@ from zerodrift.discovery.precision import Precision, list_free, measure_precisio
 from zerodrift.discovery.search import Best, find_programme
 from zerodrift.discovery.stage import Staged
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 HOURS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 """Hours that are tried for further units, shortest first."""

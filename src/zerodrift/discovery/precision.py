@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.discovery.contenders import Truth
 from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.stage import Staged
@@ -23,8 +23,6 @@ from zerodrift.physics.projection import (
     list_coordinates,
     set_coordinates,
 )
-
-Array = NDArray[np.float64]
 
 STEP = 1e-3
 """Finite-difference step of a shared value, in its own coordinate."""

@@ -4,12 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.discovery.limits import Limits
 from zerodrift.operations.recursion import filter_recursively
-
-Array = NDArray[np.float64]
 
 NO_WAY_K = 1e-9
 """What adding up leaves of a way that has been gone."""

@@ -10,11 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.discovery.patterns import PER_SEGMENT, SEGMENTS, Space
-
-Array = NDArray[np.float64]
 
 POPULATION = 24
 SEED = 20

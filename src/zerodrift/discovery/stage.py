@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.discovery.contenders import Scene
 from zerodrift.discovery.programme import Log, PlannedCourse
 from zerodrift.physics.effect import Signals
 from zerodrift.physics.octaves import MEANS, Octaves, cut_octaves
-
-Array = NDArray[np.float64]
 
 POWERED_EARLIER_S = 7200.0
 

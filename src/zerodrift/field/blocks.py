@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.field.watch import BlockMeans
-
-Array = NDArray[np.float64]
 
 FAR = 4.0
 """Standard deviations of its block's samples beyond which a sample counts as that far off."""

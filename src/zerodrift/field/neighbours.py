@@ -14,12 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.csv_text import render_rows
 from zerodrift.base.errors import InputError
-
-Array = NDArray[np.float64]
 
 PX4_ACCEL, PX4_GYRO, PX4_BARO = ("px4-accel", "px4-gyro", "px4-baro")
 ARDUPILOT_ACCEL, ARDUPILOT_GYRO = ("ardupilot-accel", "ardupilot-gyro")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 MEMORIES = (0.25, 0.75, 2.0)
 """Time constants of the noise with a memory, in blocks."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import write_whole
 from zerodrift.base.records import from_json, to_dict
@@ -16,7 +16,6 @@ from zerodrift.field.watch import BlockMeans, ChangeFound, Learned
 
 FORMAT = 1
 FILE_NAME = "monitor.json"
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

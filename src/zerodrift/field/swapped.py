@@ -22,10 +22,10 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
+from zerodrift.base.arrays import Array
 from zerodrift.field.noise import BlockNoise, fit_noise
 from zerodrift.field.watch import SURE, UNLIKE, WAIT_S, BlockMeans, Learned, Rules
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 FALSE_NAME = 1.0 - SURE

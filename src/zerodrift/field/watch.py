@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
+from zerodrift.base.arrays import Array
 from zerodrift.field.noise import BlockNoise, fit_noise
-
-Array = NDArray[np.float64]
 
 STEP, AGEING, OTHER_MODEL, OTHER_UNIT = CAUSES = ("step", "ageing", "other model", "other unit")
 DAY_S = 86_400.0

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.floor import measure_floor
@@ -14,8 +13,6 @@ from zerodrift.fleet.result import OutputResult, ParameterResult
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.scores import Trained
 from zerodrift.verify.chip_error import ChipReplay
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,14 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.revision import try_extension
 from zerodrift.fleet.evidence import ExaminedUnit, Pooled
 from zerodrift.fleet.outliers import FEWEST, measure_spread
 from zerodrift.physics.catalogue import Catalogue
-
-Array = NDArray[np.float64]
 
 SIZE, GAIN, ERROR = "size", "gain", "error"
 LARGER = 1.1

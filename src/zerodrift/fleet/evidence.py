@@ -14,8 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.case import open_case
@@ -36,8 +36,6 @@ from zerodrift.diagnosis.rules import (
 )
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 FEWEST_UNITS = 5
 """Fewer units cannot reach a p-value of 5 % by signs: 2^-4 is more."""

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.fleet.result import SensorResult
-
-Array = NDArray[np.float64]
 
 FEWEST = 8
 """With fewer sensors there is no telling what is usual."""

@@ -10,7 +10,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 CodeArray = NDArray[np.signedinteger]
 """Raw input codes: int16, or int32 where a channel needs it."""

@@ -11,7 +11,7 @@ from typing import Generic, SupportsFloat, TypeVar, cast
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import Array
+from zerodrift.base.arrays import Array
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.registry import OPERATIONS

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from zerodrift.operations.arithmetic import Array
+from zerodrift.base.arrays import Array
 from zerodrift.operations.signals import Signal
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
+
 PLACE, MODULE, FUNCTION = "signal", "_sigtools", "_linear_filter"
 """Where SciPy keeps it; checked when it is loaded, for the names are SciPy's own affair."""
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import MOST_TOLD
 from zerodrift.physics.effect import Arrivals
 from zerodrift.physics.projection import measure_cost, solve, weigh
@@ -20,7 +20,6 @@ from zerodrift.physics.terms import Term
 if TYPE_CHECKING:
     from zerodrift.physics.campaign import Campaign
 
-Array = NDArray[np.float64]
 
 SIDES = (0, 1, -1)
 """At rest, from above, from below."""

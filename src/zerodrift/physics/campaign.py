@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
@@ -27,8 +28,6 @@ from zerodrift.physics.reduction import Column, plan_reduction, select_means
 from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
 from zerodrift.physics.terms import Term, build_features, name_feature
 from zerodrift.physics.tracks import build_stretches, lay_tracks, tell_arrival
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 6_000
 """Blocks in all runs together; more samples than that are averaged."""

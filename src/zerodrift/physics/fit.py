@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
@@ -32,8 +32,6 @@ from zerodrift.physics.search import Found, search, search_beyond_rails, sum_wit
 from zerodrift.physics.signals import SignalPlan, explain_missing, plan_signals, read_signals
 from zerodrift.physics.terms import OFFSET, Term, start_term, tidy_terms
 from zerodrift.physics.tracks import build_stretches
-
-Array = NDArray[np.float64]
 
 TARE_RATIO = 1.25
 """Runs have offsets of their own where these lower the squared error by more than this factor, and

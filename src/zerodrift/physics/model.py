@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
@@ -15,8 +16,6 @@ from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
 from zerodrift.physics.terms import Term, begin_at_rest, build_features, list_defaults
 from zerodrift.physics.tracks import build_stretches
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

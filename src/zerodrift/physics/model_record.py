@@ -3,12 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.base.arrays import Array
 from zerodrift.base.records import OPTIONAL
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.campaign import Sums
 from zerodrift.physics.effect import Parameter
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-10
 """Eigenvalues of the scaled normal matrix below this share of the largest count as zero."""

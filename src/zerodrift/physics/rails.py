@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.resolution import LEAST_SHARE, count_codes
-
-Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 5
 """Samples at the extreme within a run before it counts as a rail."""

@@ -10,14 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.backend import NumpyOperations, evaluate
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.registry import OPERATIONS
 from zerodrift.physics.reduction import Column, Reduction
-
-Array = NDArray[np.float64]
 
 STRAIGHT = 1e-5
 """A signal is slow in a stretch if straight lines within blocks leave less than this share of its

@@ -7,9 +7,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.octaves import MEANS, WITHIN_BLOCKS, Octaves, cut_octaves
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 

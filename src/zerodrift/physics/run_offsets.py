@@ -4,13 +4,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.effect import Effect
 from zerodrift.physics.search import Found
-
-Array = NDArray[np.float64]
 
 FEWEST = 3
 """Two offsets lie on a line whatever they are."""

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.graph import Node
 from zerodrift.physics.arrivals import find_arrivals
 from zerodrift.physics.campaign import Campaign, Sums
@@ -26,8 +26,6 @@ from zerodrift.physics.projection import (
 from zerodrift.physics.reduction import Column
 from zerodrift.physics.shortlist import find_promising
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 GRID = 5
 """Starting values per parameter over its typical range."""

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 MARGIN = 1e-3
 """By how much more than the last of the best, in the sum of the logarithms of squared errors, a

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.outliers import take_medians
 from zerodrift.dataset.runs import Run
@@ -14,8 +14,6 @@ from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
 from zerodrift.physics.effect import Effect, Signals
 from zerodrift.physics.rails import find_rails
-
-Array = NDArray[np.float64]
 
 LATEST_RELATIVE_TIME_S = 1e7
 """A log whose clock starts below this may count seconds since power-on; above, calendar time."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.operations.backend import NumpyOperations, Operations
@@ -16,7 +16,6 @@ from zerodrift.physics.effect import Arrivals, Effect, Feature, Parameter, S, Si
 P = ParamSpec("P")
 T = TypeVar("T")
 
-Array = NDArray[np.float64]
 
 OFFSET = "offset"
 """Name of the constant column, always the first."""

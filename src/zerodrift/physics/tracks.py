@@ -9,15 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.bridges import find_chains, lay
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.effect import Arrivals, Feature, Signals
 from zerodrift.physics.signals import SignalPlan, read_signals
 from zerodrift.physics.terms import Term, build_columns
-
-Array = NDArray[np.float64]
 
 FAR_K = 1e5
 """From so far away a run's temperature comes: beyond every play's width."""

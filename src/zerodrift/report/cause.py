@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.drivers import (
     LAG,
@@ -38,8 +39,6 @@ from zerodrift.report.plot import (
 from zerodrift.report.svg import measure_legend
 from zerodrift.report.thin import pick_rows, pick_spread
 from zerodrift.report.window import TimeAxis, Window, choose_clock, find_rows
-
-Array = NDArray[np.float64]
 
 DRIFT, LEFT, EFFECT = "drift", "left", "effect"
 """Panes that show no channel: drift and model, what is left, what an effect would explain."""

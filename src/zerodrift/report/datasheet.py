@@ -14,15 +14,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.report.findings import Trace, find_threshold
 from zerodrift.report.repeatability import STILL_K, TO_S, measure_repeatability
 from zerodrift.verify.summary import StatedUncertainty
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 60_000
 """More samples than that are averaged in blocks."""

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.compare import Comparison
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
@@ -39,7 +39,6 @@ __all__ = [
     "render_page",
 ]
 
-Array = NDArray[np.float64]
 
 LAGS = 60
 LEAST_RATIO = 1e-6

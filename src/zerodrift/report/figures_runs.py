@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.report.findings import Trace
 from zerodrift.report.style import (
@@ -23,8 +23,6 @@ from zerodrift.report.style import (
 )
 from zerodrift.report.thin import MOST_POINTS, pick_rows
 from zerodrift.report.window import HOURS, TimeAxis, Window, choose_clock, find_rows
-
-Array = NDArray[np.float64]
 
 MOST_OUTLIERS = 500
 """Outliers that are drawn of one run and output."""

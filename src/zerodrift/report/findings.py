@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.records import UNWRITTEN, from_json, to_dict
 from zerodrift.dataset.outliers import COUNTED
 from zerodrift.dataset.runs import Run
@@ -27,8 +28,6 @@ from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.proposal import ProposedFormula
 from zerodrift.verify.summary import CertificateSummary, FirmwareSummary, StatedUncertainty
-
-Array = NDArray[np.float64]
 
 FILE_NAME = "findings.json"
 

@@ -4,9 +4,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 INKS = {
     "measured": ("#8a94a0", "#97a2ae"),

@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.report.findings import Trace
-
-Array = NDArray[np.float64]
 
 FROM_S, TO_S = 20.0, 60.0
 """After the load moved; at least `LEAST_SAMPLES` samples later for slow logs."""

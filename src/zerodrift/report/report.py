@@ -7,6 +7,7 @@ tables that it carries as CSV.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.drivers import DriftDriver
 from zerodrift.diagnosis.explained import HEADLINE
 from zerodrift.diagnosis.run_spread import measure_spread
@@ -132,7 +133,7 @@ def list_sections(findings: Findings) -> list[OutputSection]:
             width=WIDTH,
         )
 
-        def read(driver: DriftDriver, of: str = run) -> cause.Array:
+        def read(driver: DriftDriver, of: str = run) -> Array:
             return cause.read_driven(findings, findings.find_trace(of), driver)
 
         drawn = cause.draw_cause(view, compared, channels, read)

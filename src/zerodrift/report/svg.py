@@ -7,7 +7,8 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.report.plot import DASHES, INKS, Array, Band, Bar, Cloud, Curve, Panel, Picture
+from zerodrift.base.arrays import Array
+from zerodrift.report.plot import DASHES, INKS, Band, Bar, Cloud, Curve, Panel, Picture
 
 LETTER = 6.3
 """Pixels that a letter of the axis type is wide, about."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 MOST_POINTS = 1200
 """Points of a line; more samples than that are drawn as the least and largest of each step."""

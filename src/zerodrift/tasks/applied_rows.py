@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from polars.exceptions import PolarsError
 from polars.io.plugins import register_io_source
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import InputError
@@ -32,8 +33,6 @@ from zerodrift.export.integer_model import (
 )
 from zerodrift.report.results import AppliedLog, OutputApplied
 from zerodrift.verify.uncertainty import Uncertainty
-
-Array = NDArray[np.float64]
 
 FLAGS = "flags"
 FLAG_NAMES = {

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.host import HostModel
@@ -38,7 +39,6 @@ from zerodrift.tasks.applied_rows import (
 )
 from zerodrift.verify.uncertainty import Uncertainty
 
-Array = NDArray[np.float64]
 PredictFloat = Callable[[Run], Array]
 
 

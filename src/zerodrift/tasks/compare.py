@@ -5,9 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import PAGE, require
@@ -33,8 +31,6 @@ from zerodrift.tasks.built import read_firmware, state_uncertainty
 from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.summary import FirmwareSummary, StatedUncertainty
-
-Array = NDArray[np.float64]
 
 PHYSICS, NETWORK, INTEGER, C = KINDS = ("physics", "network", "integer", "c")
 

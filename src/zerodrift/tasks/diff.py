@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.progress import SILENT, Progress
@@ -27,8 +27,6 @@ from zerodrift.train.compensator import DESCRIPTION, Compensator
 from zerodrift.verify.firmware import EFFECTS, MODEL
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import load_manifest
-
-Array = NDArray[np.float64]
 
 MOST_STEPS = 200_000
 """Of the sweep, per model."""

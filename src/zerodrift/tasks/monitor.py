@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.export.integer_model import FLAG_NO_READING
 from zerodrift.field.blocks import join_blocks, make_blocks
@@ -42,8 +43,6 @@ from zerodrift.tasks.monitored_log import (
     open_log,
 )
 from zerodrift.tasks.swapped import KnownUnit, LogPart, seek_unit, tell_sought, wants_name
-
-Array = NDArray[np.float64]
 
 ABSOLUTE_S = 1e8
 """Times from here on are dates: 1973 and later; smaller ones count from the log's begin."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.code_format import MEASURED
@@ -17,8 +18,6 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.tasks.apply import Chip, answer
 from zerodrift.verify.manifest import hash_file
 from zerodrift.verify.uncertainty import Uncertainty
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

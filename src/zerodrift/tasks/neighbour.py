@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.files import write_whole
@@ -30,8 +31,6 @@ from zerodrift.tasks.applied_model import load_nothing, open_applied
 from zerodrift.tasks.apply import Chip, answer
 from zerodrift.tasks.diff import MOST_STEPS, key_of, plan_sweep
 from zerodrift.tasks.project import ProjectFolder
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

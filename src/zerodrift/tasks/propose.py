@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.files import write_new
@@ -45,7 +45,6 @@ from zerodrift.train.black_box.compare import BlackBoxes, try_black_boxes
 from zerodrift.train.prepare import read_settings, stand_alone
 from zerodrift.verify.chip_check import COUNTED_STEPS
 
-Array = NDArray[np.float64]
 CORE = "cortex-m4"
 
 

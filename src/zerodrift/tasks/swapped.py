@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.host_batch import build_host_batch
 from zerodrift.codegen.generate import generate
@@ -19,8 +20,6 @@ from zerodrift.field.swapped import FALSE_NAME, Before, Foretold, find_unit
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, ChangeFound, Rules
 from zerodrift.tasks.apply import Chip
 from zerodrift.tasks.monitored_log import Deployed, MonitoredLog, apply_to, open_log
-
-Array = NDArray[np.float64]
 
 BATCH = 32
 """Models that are compiled together."""

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.code_format import MEASURED
@@ -30,9 +31,6 @@ from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.node import ChannelNode
 from zerodrift.verify.summary import ChipError
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 ROUNDING_SHARE = 0.002
 """What the arithmetic's rounding may cost, as a share of the drift's own RMS."""

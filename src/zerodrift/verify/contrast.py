@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 LEVEL = 0.05
 """Chance that is taken of refusing a firmware that errs like all baselines, or of calling one

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs
@@ -33,9 +33,6 @@ from zerodrift.operations.dense import COPY_BITS, FloatFeedForward
 from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.intervals import Interval
 from zerodrift.verify.mismatch import label_columns
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LONGEST_RUN_STEPS = 20_000
 DECADES = (100, 1000, 10_000, 100_000, 1_000_000)

@@ -4,16 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.baselines import explain_share
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.float_model import FloatModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.code_format import MEASURED
 from zerodrift.dataset.runs import Run
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.verify.chip_error import RATE, ChipReplay
-
-Array = NDArray[np.float64]
 
 TEMPERATURE = "temperature_degC"
 KELVIN_APART = 150.0

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.baselines import fit_baselines
@@ -31,9 +31,6 @@ from zerodrift.verify.contrast import (
 from zerodrift.verify.excursions import Excursion, list_excursions
 from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.summary import ChipError, Statement
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 WORSE_THAN_FLOAT = 0.10
 """Share by which it may exceed the float model's and the budgeted rounding's together."""

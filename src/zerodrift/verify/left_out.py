@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
@@ -17,9 +17,6 @@ from zerodrift.train.compensator import Compensator
 from zerodrift.train.refits import Original, Refit, train_refits
 from zerodrift.train.stages import fit_physics
 from zerodrift.train.tasks import Handling
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 PARTS = "leave runs out in {} parts"
 ONE_RUN = (

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.chip_codes import RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.floor import measure_floor
@@ -22,9 +22,6 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.chip_error import ChipReplay
 from zerodrift.verify.left_out import LeftOut
 from zerodrift.verify.summary import StatedUncertainty
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FILE_NAME = "uncertainty.json"
 COVERAGE_FACTOR = 2.0

@@ -2,9 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.drivers import LAG, TAU_S, TEMPERATURE, read_driver
 from zerodrift.report import cause, tables
@@ -16,8 +13,6 @@ from zerodrift.report.window import Window, choose_clock, find_rows
 from zerodrift.workbench.first_look import HEADING, NARROWEST, WIDEST
 from zerodrift.workbench.state import DrawnPicture, PageChoice, PictureWish, Sheet
 from zerodrift.workbench.workplace import Workplace
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 100
 """Rows of the table beside the chart."""

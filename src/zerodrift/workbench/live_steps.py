@@ -8,8 +8,8 @@ log would be interpolated, which nobody can before the next row is there.
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.resample import AVERAGED_BELOW
-from zerodrift.dataset.runs import Array
 
 SLOW_ABOVE = 1.1
 """Rows whose interval is a larger share of the period are said to be slow."""

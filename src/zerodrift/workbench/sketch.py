@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import ZerodriftError
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.selectors import expand_selectors
@@ -20,7 +20,6 @@ from zerodrift.report.thin import pick_rows
 from zerodrift.workbench.events import SENSOR, SKIP_INVALID
 from zerodrift.workbench.first_look import FirstLook, LoggedLine, write_look
 
-Array = NDArray[np.float64]
 MOST_ROWS = 2400
 
 

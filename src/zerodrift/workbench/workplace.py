@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
@@ -57,8 +57,6 @@ from zerodrift.workbench.marks import Marks, mark_files
 from zerodrift.workbench.messages import Message, explain_guess
 from zerodrift.workbench.state import JobState, PageState
 from zerodrift.workbench.watch import RecordingWatch, UnitsWatch
-
-Array = NDArray[np.float64]
 
 CHILD = "zerodrift.workbench.worker"
 LOOKS_AT = ("verify", "report", "apply", "propose", "plan", "chip")

@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.formula.proposal import Formula
 from zerodrift.diagnosis.judgement import Fitted
-
-Array = NDArray[np.float64]
 
 MOST_POINTS = 400
 """Of an output, over all runs."""

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.case import Advance, Case, open_case
@@ -34,8 +34,6 @@ from zerodrift.diagnosis.rules import (
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Effect
 from zerodrift.physics.terms import Term
-
-Array = NDArray[np.float64]
 
 SEARCHES = 3
 """Where one term explains too little a second is looked for, and then the first one anew."""

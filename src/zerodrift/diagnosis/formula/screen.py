@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.examination import predict
 from zerodrift.diagnosis.formula.expression import OWN_LOAD, Driver, Expression, is_by_load
 from zerodrift.diagnosis.formula.grammar import Form, Spans
@@ -26,8 +26,6 @@ from zerodrift.physics.reduction import Reduction, plan_reduction, select_means
 from zerodrift.physics.search import Found
 from zerodrift.physics.terms import Term, build_features
 from zerodrift.physics.tracks import lay_tracks
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 4_000
 """Block means in all runs together."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import Array
+from zerodrift.base.arrays import Array
 from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.operation import Operation

@@ -9,11 +9,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import (
     INT16_MAX,
     INT16_MIN,
-    Array,
     IntArray,
     matmul_exact,
     round_shift,

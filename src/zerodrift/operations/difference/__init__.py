@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import Array, IntArray
+from zerodrift.base.arrays import Array
+from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.errors import Error, Known, bound_sum, list_terms
 from zerodrift.operations.formats import EXACT_BITS, FormattedNodes
 from zerodrift.operations.graph import Node

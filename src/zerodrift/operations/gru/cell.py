@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import Array, IntArray, round_shift
+from zerodrift.base.arrays import Array
+from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import Writer
 from zerodrift.operations.tables import sigmoid_q31, tanh_q30, write_sigmoid, write_tanh

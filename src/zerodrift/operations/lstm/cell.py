@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import Array, IntArray, round_shift, saturate
+from zerodrift.base.arrays import Array
+from zerodrift.operations.arithmetic import IntArray, round_shift, saturate
 from zerodrift.operations.gru.cell import R_Q31_MAX, RELAX_STEPS
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import Writer

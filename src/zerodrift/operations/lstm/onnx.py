@@ -6,7 +6,7 @@ ONNX orders the gates i, o, f, c; here they are i, f, g, o.
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import Array
+from zerodrift.base.arrays import Array
 from zerodrift.operations.gru.onnx import MAX_FEATURES, MAX_HIDDEN, Attributes
 from zerodrift.operations.lstm.cell import FloatLstm
 

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import Array, IntArray
+from zerodrift.base.arrays import Array
+from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import Error, Known, larger
 from zerodrift.operations.formats import FormattedNodes

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import Array, IntArray, saturate
+from zerodrift.operations.arithmetic import IntArray, saturate
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
 from zerodrift.operations.enclosure import Range, enclose_power, furthest, shorten

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
 from zerodrift.operations.arithmetic import (
     INT32_MAX,
     INT32_MIN,
-    Array,
     IntArray,
     choose_exponent,
     round_shift,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import Array
+from zerodrift.base.arrays import Array
 from zerodrift.operations.difference import combine
 from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.graph import Node
