@@ -108,7 +108,7 @@ def test_missing_scikit_learn_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(InputError, match=r"needs scikit-learn.*pip install 'scikit-learn"):
+    with pytest.raises(InputError, match=r"needs scikit-learn.*pip install scikit-learn"):
         METHODS["svr"].fit([make_run(0)])
 
 

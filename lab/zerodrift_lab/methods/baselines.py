@@ -8,7 +8,6 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
-from zerodrift.base.extras import tell_install
 from zerodrift.dataset.runs import Run
 from zerodrift_lab.methods.interface import Fit, Fitted, FittedFunction, Options
 from zerodrift_lab.methods.networks import WINDOW
@@ -64,7 +63,7 @@ def make_baseline(make: Make, most_rows: int = 0) -> Fit:
             model = make(seed)
         except ImportError as error:
             raise InputError(
-                f"this method needs scikit-learn ({error}). Run: {tell_install('lab')}"
+                f"this method needs scikit-learn ({error}). Run: pip install scikit-learn"
             ) from error
         windows = fit_windows(runs, options.thermometers, WINDOW, options.spacing_s)
 

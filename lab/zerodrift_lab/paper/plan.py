@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from zerodrift.base.extras import tell_install
 from zerodrift_lab.methods import METHODS
 from zerodrift_lab.paper.store import Cell
 
@@ -103,7 +102,7 @@ def make_plan(quick: bool, sensors: int, seeds: int, recipe_epochs: int) -> tupl
         methods = tuple(m for m in methods if m not in NEED_SKLEARN)
         note = (
             f"scikit-learn is not installed, so {', '.join(NEED_SKLEARN)} are left out; "
-            f"{tell_install('lab')} brings it."
+            f"pip install scikit-learn brings it."
         )
     plan = Plan(
         sensors=tuple(range(1, 1 + (sensors or (2 if quick else 5)))),
