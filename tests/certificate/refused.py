@@ -293,6 +293,19 @@ REFUSED: dict[str, tuple[str, str, str, str]] = {
         "    if (s->steps) {\n        s->steps = 0u;\n    }\n" + STEP,
         "no comparison",
     ),
+    "a place in brackets": (C, STEP, "    (drift)[0] += 1;\n" + STEP, "a place in brackets"),
+    "a field of what is in brackets": (
+        C,
+        STEP,
+        "    (s)->steps = 0u;\n" + STEP,
+        "a place in brackets",
+    ),
+    "a sum in brackets that is assigned to": (
+        C,
+        STEP,
+        "    (drift[0]) = 1;\n" + STEP,
+        "a place in brackets",
+    ),
     "a claim in a function": (C, STEP, "    ZD_CLAIM(x, 1);\n" + STEP, "outside of functions"),
     "a size that is a sum": (
         C,

@@ -309,6 +309,7 @@ BINARY = {"||": 1, "&&": 2, "|": 3, "^": 4, "&": 5, "==": 6, "!=": 6}
 BINARY |= {"<": 7, ">": 7, "<=": 7, ">=": 7, "<<": 8, ">>": 8, "+": 9, "-": 9}
 BINARY |= {"*": 10, "/": 10, "%": 10}
 FUNCTIONS = ("ZD_OBSERVE", "ZD_QUIET", "ZD_CLAIM")
+ASSIGNMENTS = ("=", "+=", "-=", "*=", "|=", "&=", "^=", "<<=", ">>=")
 """Macros with parameters; they are not replaced, there are rules for them."""
 WORDS = {"return", "if", "else", "for", "const", "static", "volatile", "typedef", "struct"}
 WORDS |= {"while", "do", "goto", "switch", "case", "break", "continue", "union", "enum", "extern"}
@@ -442,7 +443,10 @@ class ExpressionParser:
         if self.take_if("("):
             node: Expression = self.expression()
             self.take(")")
-        elif self.look()[:1].isdigit() or self.look()[:1] == ".":
+            if self.look() in ("[", "->", ".", *ASSIGNMENTS):
+                raise self.error("a place in brackets")
+            return node
+        if self.look()[:1].isdigit() or self.look()[:1] == ".":
             token = self.take()
             node = CInteger(start, token, *parse_integer(token))
         else:
@@ -463,9 +467,6 @@ class ExpressionParser:
             else:
                 node = CField(start, node, operator, self.take_name())
         return node
-
-
-ASSIGNMENTS = ("=", "+=", "-=", "*=", "|=", "&=", "^=", "<<=", ">>=")
 
 
 def parse(tokens: PlacedWords, struct_types: Sequence[str]) -> Program:
