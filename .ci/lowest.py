@@ -1,4 +1,4 @@
-"""Prints each dependency at the lowest version that pyproject.toml allows, one a line, for pip.
+"""Prints each dependency, the laboratory's too, at the lowest version allowed, one a line, for pip.
 
 python .ci/lowest.py EXTRA...
 """
@@ -34,5 +34,9 @@ def list_lowest(project: dict[str, object], extras: list[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    tables = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    print("\n".join(list_lowest(tables["project"], sys.argv[1:])))
+    own, lab = (
+        tomllib.loads((ROOT / name).read_text(encoding="utf-8"))["project"]
+        for name in ("pyproject.toml", "lab/pyproject.toml")
+    )
+    own["dependencies"] += [name for name in lab["dependencies"] if name != own["name"]]
+    print("\n".join(list_lowest(own, sys.argv[1:])))
