@@ -10,7 +10,7 @@ from packaging.requirements import Requirement
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))[
     "project"
 ]
-EXTRAS = ("train", "page", "fleet", "lab")
+EXTRAS = ("train", "page", "fleet")
 TARGET_GB = 0.97
 
 
