@@ -31,7 +31,6 @@ OPERATORS = frozenset("()[]{},;.?:=+-*/%&|<>") | frozenset(
 )
 INTEGER = re.compile(r"(0|[1-9][0-9]*|0x[0-9A-F]+)(u?)")
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*")
-CAPITALS = re.compile(r"[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)*")
 LINE_OF_ASSEMBLY = re.compile(r'"[^"\\]*(?:\\n)?"')
 COMMENT = re.compile(r'//|/\*.*?\*/|"(?:[^"\\\n]|\\n)*"', re.S)
 

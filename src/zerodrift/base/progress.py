@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeVar
@@ -77,17 +77,13 @@ class Progress:
         """Say what is being done now."""
         self.screen.say(text)
 
-    @contextmanager
-    def measure(self, title: str) -> Iterator[Callable[[Stage], None]]:
-        """Yield what is called with each stage of a piece of work whose end is known."""
-        with self.screen.measure(title) as report:
-            yield report
+    def measure(self, title: str) -> AbstractContextManager[Callable[[Stage], None]]:
+        """Return a block; it yields what is called with each stage of work whose end is known."""
+        return self.screen.measure(title)
 
-    @contextmanager
-    def count(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
-        """Yield what is called with how many are done, of how many, and a remark."""
-        with self.screen.count(title) as report:
-            yield report
+    def count(self, title: str) -> AbstractContextManager[Callable[[int, int, str], None]]:
+        """Return a block; it yields what is called with how many of how many are done."""
+        return self.screen.count(title)
 
     def tell(self, text: str) -> None:
         """Tell the user a sentence before the work goes on."""
