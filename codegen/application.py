@@ -2,10 +2,8 @@
 
 from zerodrift import __version__
 from zerodrift.codegen.generate import make_environment
-from zerodrift.codegen.identifiers import sanitize_comment
-from zerodrift.codegen.names import name_channels, name_outputs, name_prefix
-from zerodrift.dataset.code_format import MEASURED
-from zerodrift.dataset.design_codes import TEMPERATURE_LSB_DEGC
+from zerodrift.codegen.identifiers import name_channels, name_outputs, name_prefix, sanitize_comment
+from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE_LSB_DEGC
 from zerodrift.export.integer_model import IntegerModel
 
 FIRST_FRAME_ID = 0x100

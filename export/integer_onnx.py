@@ -17,17 +17,89 @@ from zerodrift.export.integer_model import (
     FLAG_INPUT_RANGE,
     FLAG_NO_READING,
     FLAG_RATE_RANGE,
+    FLAG_TARED,
     FLAG_TEMPERATURE_RANGE,
     FLAG_WARMING_UP,
     IntegerModel,
     order_conversions,
 )
-from zerodrift.export.onnx_tare import TARE, write_count_from
-from zerodrift.export.onnx_time import SLEPT, split_time, write_rate, write_span
 from zerodrift.export.reference import Reference
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, ELAPSED, PREVIOUS_DRIFT
 from zerodrift.operations.onnx_writer import IR_VERSION, OPSET, OnnxWriter, Shape
+from zerodrift.operations.times import LONGEST_US, MOST_HELD_US
+
+# What the integer ONNX has more where the drift can be counted from a moment on.
+
+TARE = "tare"
+"""Name of the state: the last answers, what is taken off, and whether it is."""
+
+
+def write_count_from(
+    w: OnnxWriter, tare: str, drift: str, flags: str, clamped: str, outputs: int
+) -> tuple[str, str, str]:
+    """Write the state after a step, drift [B, K] from the tare on, and flags [B].
+
+    Args:
+        w: the writer.
+        tare: [B, 2 K + 1] the state before it.
+        drift: [B, K] as the model gives it.
+        flags: [B] without those of the tare.
+        clamped: [B] 1 where the flag of a limited drift is among them.
+        outputs: K.
+    """
+    with w.label(TARE):
+        _, off, kept = w.split(tare, (outputs, outputs, 1))
+        tared = w.op("Equal", kept, w.constant(2))  # [B, 1]
+        wide = w.sub(drift, off)
+        counted = w.op("Where", tared, w.saturate(wide, INT32_MIN, INT32_MAX), drift)
+        differs = w.flag(w.op("And", tared, w.op("Not", w.op("Equal", counted, wide))))
+        limited = w.op("ReduceMax", differs, axes=[1], keepdims=0)
+        more = w.mul(w.mul(limited, w.sub(w.constant(1), clamped)), w.constant(FLAG_CLAMPED))
+        told = w.op("Squeeze", w.flag(tared, FLAG_TARED), w.constant([1]))
+        state = w.op("Where", tared, w.constant(2), w.constant(1))
+        after = w.op("Concat", drift, off, state, axis=1)
+        return after, counted, w.add(w.add(flags, more), told)
+
+
+# Additions to the integer ONNX for a variable step: the time of a step, and the rate flag.
+
+SLEPT = "slept"
+"""Name of the state that is added to the next step's time."""
+
+
+def split_time(w: OnnxWriter, model: IntegerModel, given: str) -> tuple[str, str]:
+    """Write codes [B, C] and, of a variable step, its time [B] of what a step is given."""
+    if not model.variable_step:
+        return given, ""
+    channels = len(model.channels)
+    codes = w.split(given, (channels, 1))[0]
+    time = w.column(given, channels)
+    longest = w.constant(LONGEST_US)
+    negative = w.op("Less", time, w.constant(0))
+    return codes, w.op("Where", negative, longest, w.minimum(time, longest))
+
+
+def write_span(w: OnnxWriter, state: Mapping[str, str], time: str) -> str:
+    """Write the time [B] since the last step, 0 before the first; "" without a variable step."""
+    if not time:
+        return ""
+    slept = w.op("Squeeze", state[SLEPT], w.constant([1]))
+    span = w.minimum(w.add(time, slept), w.constant(LONGEST_US))
+    return w.op("Where", w.op("Equal", state["steps"], w.constant(0)), w.constant(0), span)
+
+
+def write_rate(w: OnnxWriter, model: IntegerModel, moved: str, span: str) -> str:
+    """Write whether the temperature [B] moved by more than the model allows."""
+    most = w.constant(model.guards.rate_max)
+    if not span:
+        return w.op("Greater", moved, most)
+    held = w.saturate(span, model.period_us, MOST_HELD_US)
+    change = w.mul(w.minimum(moved, w.constant(INT32_MAX)), w.constant(model.period_us))
+    fast = w.op("Greater", change, w.mul(most, held))
+    return w.op("And", fast, w.op("LessOrEqual", span, w.constant(MOST_HELD_US)))
+
 
 START_GO_ON, START_COLD, START_SETTLED = 0, 1, 2
 """Values of the input `start`."""

@@ -11,8 +11,6 @@ import numpy as np
 import onnx
 
 from zerodrift.base.arrays import Array
-from zerodrift.export.onnx_layer_norm import layer_norm, reduce_mean
-from zerodrift.export.onnx_recurrent import gru, lstm
 from zerodrift.export.onnx_shapes import (
     RESHAPED,
     Attributes,
@@ -24,17 +22,290 @@ from zerodrift.export.onnx_shapes import (
 )
 from zerodrift.export.onnx_values import (
     Axis,
+    Constant,
     Dims,
+    Fill,
+    Moment,
     OnnxSignal,
     OnnxSource,
     Pending,
     RawInput,
+    Refused,
     Unsupported,
     Value,
     bind,
     join_signals,
 )
 from zerodrift.operations.dense import FloatDense
+from zerodrift.operations.gru import onnx as gru_onnx
+from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.layer_norm import FloatLayerNorm
+from zerodrift.operations.lstm import onnx as lstm_onnx
+from zerodrift.operations.lstm.cell import FloatLstm
+
+# The effect of the recurrent operators of a float ONNX graph on the reader's values.
+
+
+def gru(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
+    """GRU: a new source of signals, its states."""
+    values = values + [None] * (6 - len(values))
+    w, r = pick_array(values[1], "W"), pick_array(values[2], "R")
+    b = None if values[3] is None else pick_array(values[3], "B")
+    try:
+        layer = gru_onnx.from_onnx_gates(attributes, w, r, b)
+    except ValueError as error:
+        raise Unsupported(str(error)) from error
+    return list(_add_layer(node, attributes, values, layer))
+
+
+def lstm(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
+    """LSTM: a new source of signals, its outputs h; c may not be used elsewhere."""
+    values = values + [None] * (8 - len(values))
+    w, r = pick_array(values[1], "W"), pick_array(values[2], "R")
+    b, p = (
+        None if v is None else pick_array(v, n) for v, n in ((values[3], "B"), (values[7], "P"))
+    )
+    try:
+        layer = lstm_onnx.from_onnx_gates(attributes, w, r, b, p)
+    except ValueError as error:
+        raise Unsupported(str(error)) from error
+    cell = Refused(
+        f"LSTM '{node.name or ', '.join(node.output)}': its cell state Y_c is read by another node;"
+        " only its outputs Y and Y_h may be"
+    )
+    return [*_add_layer(node, attributes, values, layer), cell]
+
+
+def _add_layer(
+    node: onnx.NodeProto,
+    attributes: Attributes,
+    values: list[Value],
+    layer: FloatGru | FloatLstm,
+) -> tuple[OnnxSignal, OnnxSignal]:
+    """Return all outputs and the last one of a recurrent layer over X."""
+    data, layout = values[0], attributes.get("layout", 0)
+    inputs = layer.w_x.shape[2]
+    if isinstance(data, RawInput):
+        data = bind(data, inputs, 2) if len(data.axes) == 3 else data
+    if not isinstance(data, OnnxSignal) or len(data.axes) != 3:
+        raise Unsupported("its input X is not data of three axes")
+    if data.last and not data.of_one:
+        raise Unsupported("its input is the last sample of another layer; expected all of them")
+    time, batch = data.axes[layout], data.axes[1 - layout]
+    if data.axes[2].role != "feature" or data.matrix.shape[0] != inputs:
+        raise Unsupported(f"it reads {inputs} values that are not the features")
+    time.take_role("time")
+    batch.take_role("batch")
+    _check_lengths(values[4], time)
+    outside = layer.bias.copy()
+    outside[: len(layer.w_x)] += layer.w_x @ data.bias
+    layer = replace(layer, w_x=layer.w_x @ data.matrix, bias=outside)
+    hidden = layer.w_h.shape[1]
+    source = OnnxSource(hidden, data.source, layer, node.name or node.op_type, time)
+    one, feature = Axis(1, "one"), Axis(hidden, "feature")
+    axes = (batch, time, one, feature) if layout else (time, one, batch, feature)
+    states = OnnxSignal(source, axes, np.eye(hidden), np.zeros(hidden))
+    end = (batch, one, feature) if layout else (one, batch, feature)
+    return states, replace(states, axes=end, last=True)
+
+
+def _check_lengths(lengths: Value, time: Axis) -> None:
+    """Refuse lengths of sequences that are not all of the sequence."""
+    if lengths is None:
+        return
+    if isinstance(lengths, Constant):
+        found = {int(n) for n in lengths.array.ravel()}
+    elif isinstance(lengths, Fill):
+        found = {int(lengths.value)}
+    elif isinstance(lengths, Dims) and all(e is time for e in lengths.entries):
+        return
+    else:
+        raise Unsupported(
+            "it is given lengths of sequences (sequence_lens) that are computed, or an input; the"
+            " firmware has one sequence that does not end. Export it without"
+        )
+    if time.size is None:
+        raise Unsupported(
+            f"it is given sequence_lens of {sorted(found)}, and the file does not tell the length"
+            " of the sequence. Export it without sequence_lens, or with a fixed length"
+        )
+    if found != {time.size}:
+        raise Unsupported(
+            f"it is given sequence_lens of {sorted(found)} for sequences of {time.size} samples;"
+            " only all of them can be. Export it without sequence_lens"
+        )
+
+
+# Layer normalisation in a float ONNX graph: as one operator, or taken apart.
+#
+# Before opset 17 PyTorch writes ReduceMean, Sub, Pow, ReduceMean, Add, Sqrt, Div. What stands
+# between is followed as a `Moment`, which means something only as a part of a normalisation.
+
+OUTSIDE = (
+    "it uses a mean or a deviation over the features of a sample outside a layer normalisation,"
+    " (x - mean) / sqrt(mean((x - mean)^2) + epsilon), which is what the chip can do of it. Export"
+    " the normalisation by opset 17 or newer, as one LayerNormalization"
+)
+
+
+def is_same(a: OnnxSignal, b: OnnxSignal) -> bool:
+    """Tell whether two signals are one value of the graph."""
+    return (
+        a.source is b.source
+        and a.last == b.last
+        and a.axes == b.axes
+        and np.array_equal(a.matrix, b.matrix)
+        and np.array_equal(a.bias, b.bias)
+    )
+
+
+def _follow(value: Value) -> OnnxSignal | None:
+    """Return data as a signal over its last axis; None where it is none."""
+    if isinstance(value, RawInput):
+        size = value.axes[-1].size if value.axes else None
+        return None if size is None else bind(value, size, len(value.axes) - 1)
+    return value if isinstance(value, OnnxSignal) else None
+
+
+def _require_features(signal: OnnxSignal, axes: list[int]) -> None:
+    """Refuse a normalisation over anything but the features, along the last axis."""
+    rank = len(signal.axes)
+    if [a % rank for a in axes] != [rank - 1] or signal.axes[-1].role != "feature":
+        roles = [signal.axes[a % rank].role or "unknown" for a in axes]
+        raise Unsupported(
+            f"it normalises over the axes {axes} ({', '.join(roles)}); expected the features alone,"
+            " along the last axis"
+        )
+
+
+def layer_norm(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
+    """LayerNormalization over the features."""
+    if len([name for name in node.output if name]) > 1:
+        raise Unsupported("its mean or deviation is used too; only the normalised values may be")
+    signal = _follow(values[0])
+    if signal is None:
+        raise Unsupported("it is used on something that is not followed")
+    rank = len(signal.axes)
+    first = attributes.get("axis", -1) % rank
+    _require_features(signal, list(range(first, rank)))
+    width = signal.matrix.shape[0]
+    gain, offset = np.ones(width), np.zeros(width)
+    for k, row in ((1, gain), (2, offset)):
+        if len(values) > k and values[k] is not None:
+            given = pick_array(values[k], ("scale", "bias")[k - 1]).astype(np.float64)
+            if given.size not in (1, width):
+                raise Unsupported(f"it has {given.size} gains or biases for {width} features")
+            row[:] = given.ravel()
+    return [normalise(signal, attributes.get("epsilon", 1e-5), node, gain, offset)]
+
+
+def normalise(
+    signal: OnnxSignal,
+    epsilon: float,
+    node: onnx.NodeProto,
+    gain: Array | None = None,
+    offset: Array | None = None,
+) -> OnnxSignal:
+    """Return gain (signal - mean) / sqrt(variance + epsilon) + offset.
+
+    What is the same for all features does not matter, and a factor c of all of them is one of
+    epsilon, 1 / c^2: so a layer's own numbers are read as they are. Any other mixture of them
+    becomes a dense layer first.
+    """
+    if not epsilon > 0.0:
+        raise Unsupported(
+            f"its epsilon is {epsilon:g}; expected one above 0, since equal values would be divided"
+            " by 0"
+        )
+    width = signal.matrix.shape[0]
+    gain = np.ones(width) if gain is None else gain
+    offset = np.zeros(width) if offset is None else offset
+    source, factor = signal.source, _find_factor(signal)
+    name = node.name or node.op_type
+    if source.layer is None or factor is None:
+        layer = FloatDense(signal.matrix, signal.bias, "clip")
+        source, factor = OnnxSource(width, source, layer, name), 1.0
+    norm = FloatLayerNorm(np.sign(factor) * gain, offset, epsilon / factor**2)
+    top = OnnxSource(width, source, norm, name)
+    return replace(signal, source=top, matrix=np.eye(width), bias=np.zeros(width))
+
+
+def _find_factor(signal: OnnxSignal) -> float | None:
+    """Return c where a signal is c times its source, and something that all features share."""
+    matrix, bias = signal.matrix, signal.bias
+    factor = float(matrix[0, 0])
+    plain = matrix.shape[0] == matrix.shape[1] and factor != 0.0
+    if plain and (matrix == factor * np.eye(len(matrix))).all() and (bias == bias[0]).all():
+        return factor
+    return None
+
+
+def reduce_mean(node: onnx.NodeProto, attributes: Attributes, values: list[Value]) -> list[Value]:
+    """ReduceMean of a signal, or of its squares less the mean."""
+    axes = attributes.get("axes")
+    if axes is None and len(values) > 1 and values[1] is not None:
+        axes = pick_array(values[1], "axes").ravel().tolist()
+    if not axes or not attributes.get("keepdims", 1):
+        raise Unsupported(f"not supported: {OUTSIDE}")
+    given, axes = values[0], [int(a) for a in axes]
+    if isinstance(given, Moment):
+        _require_features(given.of, axes)
+        if given.stage == "square":
+            return [replace(given, stage="variance")]
+        raise Unsupported(OUTSIDE)
+    signal = _follow(given)
+    if signal is None:
+        raise Unsupported("it is used on something that is not followed")
+    rank = len(signal.axes)
+    if [a % rank for a in axes] != [rank - 1] or signal.axes[-1].role != "feature":
+        raise Unsupported(
+            "not supported: it takes a mean over another axis than the features, the last one."
+            " Only a layer normalisation over the features of a sample can be followed"
+        )
+    return [Moment(signal, "mean")]
+
+
+def combine(node: onnx.NodeProto, values: list[Value]) -> list[Value]:
+    """Add, Sub, Mul, Div, Pow, Sqrt and Reciprocal on the way of a normalisation."""
+    a, b = (*values, None)[:2]
+    match node.op_type, a, b:
+        case "Sub", _, Moment(stage="mean") if not isinstance(a, Moment):
+            signal = _follow(a)
+            if signal is not None and is_same(signal, b.of):
+                return [replace(b, stage="centered")]
+        case "Pow", Moment(stage="centered"), _ if _number(b) == 2.0:
+            return [replace(a, stage="square")]
+        case "Mul", Moment(stage="centered"), Moment(stage="centered") if is_same(a.of, b.of):
+            return [replace(a, stage="square")]
+        case "Add", Moment(stage="variance"), _ if _number(b) is not None:
+            return [replace(a, epsilon=a.epsilon + (_number(b) or 0.0))]
+        case "Add", _, Moment(stage="variance") if _number(a) is not None:
+            return [replace(b, epsilon=b.epsilon + (_number(a) or 0.0))]
+        case "Sqrt", Moment(stage="variance"), _:
+            return [replace(a, stage="deviation")]
+        case "Pow", Moment(stage="variance"), _ if _number(b) in (0.5, -0.5):
+            return [replace(a, stage="deviation" if _number(b) == 0.5 else "inverse")]
+        case "Reciprocal", Moment(stage="deviation"), _:
+            return [replace(a, stage="inverse")]
+        case "Div", Moment(stage="centered"), Moment(stage="deviation") if is_same(a.of, b.of):
+            return [normalise(a.of, b.epsilon, node)]
+        case "Mul", Moment(stage="centered"), Moment(stage="inverse") if is_same(a.of, b.of):
+            return [normalise(a.of, b.epsilon, node)]
+        case "Mul", Moment(stage="inverse"), Moment(stage="centered") if is_same(a.of, b.of):
+            return [normalise(a.of, a.epsilon, node)]
+        case (("Identity" | "Cast" | "Dropout"), Moment(), _):
+            return [a]
+    raise Unsupported(OUTSIDE)
+
+
+def _number(value: Value) -> float | None:
+    """Return a constant that is one number; None where it is none."""
+    try:
+        array = pick_array(value, "operand")
+    except Unsupported:
+        return None
+    return float(array.ravel()[0]) if array.size == 1 else None
+
 
 SUPPORTED = (
     "supported are forward GRUs and LSTMs with sigmoid and tanh; changes of shape; Add, Sub, Mul,"

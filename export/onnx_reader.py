@@ -5,6 +5,8 @@ operators, is what reaches the chip. The graph is walked once from its inputs to
 values on the way are those of `zerodrift.export.onnx_values`.
 """
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +14,13 @@ from typing import Any
 
 import numpy as np
 import onnx
-from onnx import numpy_helper
+from numpy.typing import NDArray
+from onnx import TensorProto, external_data_helper, numpy_helper
 
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.layered_network import FloatLayeredNetwork
-from zerodrift.export.onnx_assemble import build_network
+from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.onnx_cells import restore_cells
-from zerodrift.export.onnx_files import LARGEST_FILE, complete_shapes, load_external_data
-from zerodrift.export.onnx_fold import fold_constants
-from zerodrift.export.onnx_layer_norm import OUTSIDE, combine
-from zerodrift.export.onnx_operators import OPERATORS, REMEDIES, SUPPORTED
+from zerodrift.export.onnx_operators import OPERATORS, OUTSIDE, REMEDIES, SUPPORTED, combine
 from zerodrift.export.onnx_shapes import RESHAPING
 from zerodrift.export.onnx_values import (
     Axis,
@@ -30,11 +28,240 @@ from zerodrift.export.onnx_values import (
     Fill,
     Moment,
     OnnxSignal,
+    OnnxSource,
     RawInput,
     Refused,
     Unsupported,
     Value,
 )
+from zerodrift.operations.dense import FloatDense
+from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.layer_norm import FloatLayerNorm
+
+# Builds a network in float64 from the values found in a float ONNX graph.
+
+
+def build_network(signal: OnnxSignal) -> FloatNetwork | FloatLayeredNetwork:
+    """Return the network of a graph's answer: GRUs below dense layers where it is no more."""
+    chain = signal.source.chain()
+    layers = [source.layer for source in chain[1:]]
+    grus = [layer for layer in layers if isinstance(layer, FloatGru)]
+    dense = [layer for layer in layers if isinstance(layer, FloatDense)]
+    straight = (
+        all(above.below is below for below, above in itertools.pairwise(chain))
+        and not signal.source.parts
+    )
+    if straight and grus and layers == [*grus, *dense]:
+        return FloatNetwork(
+            gru=grus[0],
+            head=signal.matrix,
+            head_bias=signal.bias,
+            upper=tuple(grus[1:]),
+            dense=tuple(dense),
+        )
+    return _build_layered(signal, chain)
+
+
+def _build_layered(signal: OnnxSignal, chain: list[OnnxSource]) -> FloatLayeredNetwork:
+    inputs = next(source for source in chain if source.layer is None)
+    layers = [source for source in chain if source.layer is not None]
+    places = {id(inputs): 0} | {id(source): k for k, source in enumerate(layers, 1)}
+
+    def order(source: OnnxSource) -> tuple[tuple[int, ...], list[int]]:
+        """Return what a source is made of in ascending order, and its columns in that order."""
+        singles = source.singles
+        ends = np.cumsum([0, *(s.width for s in singles)])
+        ascending = sorted(range(len(singles)), key=lambda i: places[id(singles[i])])
+        columns = [c for i in ascending for c in range(ends[i], ends[i + 1])]
+        return tuple(places[id(singles[i])] for i in ascending), columns
+
+    found = []
+    for source in layers:
+        assert source.layer is not None and source.below is not None
+        reads, columns = order(source.below)
+        layer = source.layer
+        if isinstance(layer, FloatLayerNorm):
+            found.append(FloatLayer(layer, reads))
+        elif isinstance(layer, FloatDense):
+            found.append(
+                FloatLayer(
+                    FloatDense(
+                        layer.weight[:, columns],
+                        layer.bias,
+                        layer.activation,
+                        layer.low,
+                        layer.high,
+                    ),
+                    reads,
+                )
+            )
+        elif isinstance(layer, FloatGru):
+            w_x = layer.w_x[:, :, columns]
+            found.append(FloatLayer(FloatGru(w_x, layer.w_h, layer.bias, layer.reset), reads))
+        else:
+            found.append(
+                FloatLayer(type(layer)(layer.w_x[:, :, columns], layer.w_h, layer.bias), reads)
+            )
+    reads, columns = order(signal.source)
+    return FloatLayeredNetwork(
+        inputs.width, tuple(found), reads, signal.matrix[:, columns], signal.bias
+    )
+
+
+# Completes a float ONNX graph: weights in files beside it, and missing shapes.
+
+LARGEST_FILE = 64 * 2**20
+"""Bytes; the weights of a network that fits a microcontroller take a fraction of this."""
+
+
+def load_external_data(model: onnx.ModelProto, where: str, folder: Path | None) -> None:
+    """Read the weights that lie in other files beside the graph into it.
+
+    Args:
+        model: changed in place.
+        where: the file's name, for messages.
+        folder: where the files lie; None: there is none.
+
+    Raises:
+        InputError: a file is missing, too large, too short, or lies elsewhere; says the remedy.
+    """
+    tensors = [*model.graph.initializer]
+    for nodes in (model.graph.node, *(f.node for f in model.functions)):
+        tensors += [a.t for n in nodes for a in n.attribute if a.HasField("t")]
+    outside = [t for t in tensors if t.data_location == TensorProto.EXTERNAL]
+    if not outside:
+        return
+    remedy = (
+        "Copy it there, or export again with the weights inside:"
+        " torch.onnx.export(..., external_data=False)."
+    )
+    places = sorted({_find_location(t) for t in outside})
+    if folder is None:
+        raise InputError(f"{where}: keeps its weights in {places}, which are not at hand. {remedy}")
+    for place in places:
+        path = folder / place
+        inside = path.resolve().is_relative_to(folder.resolve())
+        if not place or Path(place).is_absolute() or not inside:
+            raise InputError(
+                f"{where}: keeps its weights in '{place}'; expected a file in its own folder."
+                f" {remedy}"
+            )
+        try:
+            size = path.stat().st_size
+        except OSError as error:
+            raise InputError(
+                f"{where}: keeps its weights in the file '{place}' beside it, which cannot be read"
+                f" ({error.strerror}). {remedy}"
+            ) from error
+        if size > LARGEST_FILE:
+            raise InputError(
+                f"{path}: has {size / 2**20:.0f} MiB; expected at most {LARGEST_FILE >> 20} MiB,"
+                " since the network is to fit a microcontroller. Export the network alone."
+            )
+    for tensor in outside:
+        try:
+            external_data_helper.load_external_data_for_tensor(tensor, str(folder))
+            tensor.data_location = TensorProto.DEFAULT
+            numpy_helper.to_array(tensor)  # older versions of onnx read a file that is too short
+        except Exception as error:  # onnx raises kinds of its own
+            raise InputError(
+                f"{where}: weight '{tensor.name}' cannot be read from '{_find_location(tensor)}'"
+                f" beside it ({error}). Export both files again."
+            ) from error
+        del tensor.external_data[:]
+
+
+def _find_location(tensor: onnx.TensorProto) -> str:
+    return next((entry.value for entry in tensor.external_data if entry.key == "location"), "")
+
+
+def complete_shapes(graph: onnx.GraphProto, where: str) -> None:
+    """Give outputs without a type or a shape one, which nothing here reads; inputs need theirs.
+
+    Raises:
+        InputError: an input has no shape.
+    """
+    given = {tensor.name for tensor in graph.initializer}
+    for value in graph.input:
+        kind = value.type.tensor_type
+        if value.name not in given and not kind.HasField("shape"):
+            raise InputError(
+                f"{where}: input '{value.name}' has no shape; expected its axes, of which only the"
+                " features need a length. Export it again with example inputs."
+            )
+    for value in graph.output:
+        kind = value.type.tensor_type
+        if kind.elem_type == TensorProto.UNDEFINED:
+            kind.elem_type = TensorProto.FLOAT
+        if not kind.HasField("shape"):
+            kind.shape.SetInParent()
+
+
+# Computes nodes of a float ONNX graph whose inputs are all constants, within limits of size.
+
+LARGEST = 2**24
+"""Elements of a result; beyond it no network of a microcontroller is meant."""
+ELEMENTWISE = frozenset(
+    {"Add", "Sub", "Mul", "Div", "Pow", "Max", "Min", "Where", "Equal", "Less", "Greater"}
+)
+UNARY = frozenset(
+    {
+        "Neg",
+        "Sqrt",
+        "Reciprocal",
+        "Exp",
+        "Log",
+        "Abs",
+        "Cast",
+        "Identity",
+        "Transpose",
+        "Reshape",
+        "Squeeze",
+        "Unsqueeze",
+        "Flatten",
+        "Slice",
+        "Split",
+        "Shape",
+        "Concat",
+        "ReduceMean",
+        "ReduceSum",
+        "Not",
+    }
+)
+"""Their result is no larger than what they are given."""
+PRODUCTS = frozenset({"Gather", "MatMul"})
+
+
+def fold_constants(
+    node: onnx.NodeProto, inputs: Sequence[NDArray[np.generic] | None]
+) -> list[NDArray[np.generic]] | None:
+    """Return a node's outputs, or None for an operator that is not computed here.
+
+    Raises:
+        Unsupported: the result would be too large, or the operator rejects its inputs.
+    """
+    if node.op_type not in ELEMENTWISE | UNARY | PRODUCTS or not inputs:
+        return None
+    given = [x for x in inputs if x is not None]
+    if node.op_type in ELEMENTWISE:
+        size = math.prod(np.broadcast_shapes(*(x.shape for x in given)))
+    elif node.op_type == "Gather":
+        size = given[0].size * max(given[1].size, 1)
+    elif node.op_type == "MatMul":
+        a, b = (x.shape if x.ndim > 1 else (1, *x.shape) for x in given)
+        size = math.prod(np.broadcast_shapes(a[:-2], b[:-2])) * a[-2] * b[-1]
+    else:
+        size = sum(x.size for x in given)
+    if size > LARGEST:
+        raise Unsupported(f"its result would have up to {size} elements")
+    from onnx.reference import ReferenceEvaluator
+
+    names = {n: x for n, x in zip(node.input, inputs, strict=True) if n}
+    try:
+        return [np.asarray(y) for y in ReferenceEvaluator(node).run(None, names)]
+    except Exception as error:
+        raise Unsupported(f"it cannot be computed from its constants ({error})") from error
+
 
 __all__ = [
     "LARGEST_FILE",

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from zerodrift.base import files
 from zerodrift.base.arrays import pack_arrays
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import Json
-from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.base.records import Json, read_sealed, render_sealed
 
 FORMAT = 1
 VALUES = "values"

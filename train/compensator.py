@@ -14,19 +14,23 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.base.records import OPTIONAL, from_json, to_dict
-from zerodrift.base.sealed import read_format, read_sealed, render_sealed
+from zerodrift.base.records import (
+    OPTIONAL,
+    from_json,
+    read_format,
+    read_sealed,
+    render_sealed,
+    to_dict,
+)
 from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.graph import list_nodes
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.model_record import ModelRecord
+from zerodrift.physics.model import ModelRecord, PhysicalModel
 from zerodrift.train.front_end import FrontEnd
 from zerodrift.train.lag_bank.model import LagBank, LagBankRecord
-from zerodrift.train.onnx_export import read_onnx_layers, read_onnx_weights
-from zerodrift.train.onnx_network import OnnxNetwork
+from zerodrift.train.onnx_export import OnnxNetwork, read_onnx_layers, read_onnx_weights
 
 FORMAT = 3
 """Version of compensator.json; another one is refused."""

@@ -31,6 +31,32 @@ from torch import Tensor
 from zerodrift.base.arrays import Array
 from zerodrift.train.sequences import Sequence32
 
+TINY = 1e-9
+
+
+# A head so small that a recurrent network's answer reaches no further than what it learns.
+#
+# States lie between -1 and 1, so that the sizes of a row's weights add up to the most that it adds.
+
+
+def measure_swing(sequences: Sequence[Sequence32]) -> list[float]:
+    """Return half the distance between the lowest and the highest target of each output [K]."""
+    low = np.min([s.target.min(axis=0) for s in sequences], axis=0)
+    high = np.max([s.target.max(axis=0) for s in sequences], axis=0)
+    return [float(x) for x in (0.5 * (high - low)).tolist()]
+
+
+def limit_head(head: Tensor, swing: Tensor) -> None:
+    """Shrink the rows of S heads, in place, until states of up to 1 add no more than that.
+
+    Args:
+        head: [S, K, H].
+        swing: [S, K] the most that a row may add, to either side.
+    """
+    most = head.abs().sum(dim=2).clamp(min=TINY)
+    head.mul_((swing / most).clamp(max=1.0)[:, :, None])
+
+
 GROWTH = 0.5
 """What a step adds at most to errors of the states that are all 1, for what it forgets of them."""
 SLOWEST = 7.0
@@ -47,7 +73,6 @@ FINE_GRID = 2.0**-12
 HELD = 7.9
 """FINE_GRID is one count of a state, of 2**15, where 2**27 counts are 1. Then 16 bits hold a weight
 of a feature of 2**15 that moves the argument by 8, and 32 bits a sum of 16."""
-TINY = 1e-9
 GRID = 2.0**-10
 """What the trained recurrent weights are rounded to. They are small beside the weights of the
 features, with which they share a format on the chip: finer ones would be rounded there, as an error

@@ -13,10 +13,22 @@ from pathlib import Path
 import torch
 
 from zerodrift.base.errors import InputError
-from zerodrift.train.attempts import Attempt, Problem, Standing
+from zerodrift.train.attempts import (
+    Attempt,
+    Problem,
+    Standing,
+    load_standings,
+    mark_problems,
+    save_standings,
+)
 from zerodrift.train.epochs import Training
 from zerodrift.train.sequences import Array32
-from zerodrift.train.standings import load_standings, mark_problems, save_standings
+
+# Training problems, the starts of each, and a start's state in a checkpoint.
+
+
+# What a checkpoint of a training holds: where each attempt stands, and a mark of the inputs.
+
 
 __all__ = ["EpochProgress", "Problem", "Result", "train_networks"]
 

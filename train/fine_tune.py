@@ -12,7 +12,8 @@ import torch
 
 from zerodrift.base.errors import InputError
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.train.engine import Problem, train_networks
+from zerodrift.train.attempts import Problem
+from zerodrift.train.engine import train_networks
 from zerodrift.train.integer_network import IntegerGruNetwork
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Settings, Tuning

@@ -19,10 +19,21 @@ from zerodrift.base.config import CONSTRAINTS, NetworkConfig
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
-from zerodrift.train.contraction import contract, contract_lstm, round_weights, trim_weights
-from zerodrift.train.head_limit import limit_head
-from zerodrift.train.lstm_recurrence import LstmWeights, run_lstm, settle_lstm
-from zerodrift.train.recurrence import GruWeights, run_gru, settle
+from zerodrift.train.contraction import (
+    contract,
+    contract_lstm,
+    limit_head,
+    round_weights,
+    trim_weights,
+)
+from zerodrift.train.recurrence import (
+    GruWeights,
+    LstmWeights,
+    run_gru,
+    run_lstm,
+    settle,
+    settle_lstm,
+)
 
 Parameters = Mapping[str, Tensor]
 """Those of S networks of one kind by name, each [S, ...]."""

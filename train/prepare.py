@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -9,10 +10,12 @@ import numpy as np
 
 from zerodrift.base.config import CONSTRAINTS, RECURRENT_KINDS, Config, NetworkConfig
 from zerodrift.base.extras import TRAIN, require
+from zerodrift.base.progress import Stage
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.compensator import Compensator, calibrate
+from zerodrift.train.scores import Trained
 from zerodrift.train.settings import Settings
 from zerodrift.train.split import Split, split_runs
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
@@ -146,3 +149,38 @@ def mark_inputs(config: Config, dataset: Dataset, settings: Settings | None = No
         for name in sorted(run.inputs):
             digest.update(name.encode() + np.ascontiguousarray(run.inputs[name]).tobytes())
     return digest.hexdigest()
+
+
+# What the training of networks is given, one task per sensor, and what comes of it.
+
+VALIDATION, FINAL, LEFT_OUT = "rehearsal.npz", "performance.npz", "left_out.npz"
+FREE = "free.npz"
+"""Checkpoints in build/; the third stays when it is complete: the next `firmware` takes it."""
+UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
+"""What one sensor's numbers might raise that nobody thought of; the others go on."""
+Answer = Trained | Exception
+Report = Callable[[Stage], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One sensor whose network is to be trained."""
+
+    config: Config
+    dataset: Dataset
+    settings: Settings
+    prepared: Prepared
+
+
+@dataclass(frozen=True)
+class Handling:
+    """What the training of networks is told beside the tasks."""
+
+    device: str = "cpu"
+    """"cpu" or "cuda"."""
+    folder: Path | None = None
+    """Where checkpoints are kept; None = nowhere."""
+    resume: bool = True
+    """Take up an interrupted training of these very inputs."""
+    report: Report = lambda _: None
+    """Called after each epoch."""

@@ -18,10 +18,9 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.onnx_export import read_onnx_weights
-from zerodrift.train.prepare import read_settings
+from zerodrift.train.prepare import LEFT_OUT, UNFORESEEN, Handling, read_settings
 from zerodrift.train.settings import Settings
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
-from zerodrift.train.tasks import LEFT_OUT, UNFORESEEN, Handling
 
 MOST_PARTS = 8
 """Runs are left out one by one, or, where there are more, in so many parts, each a training."""
@@ -144,9 +143,8 @@ def _train(parts: Sequence[_Retraining], handling: Handling) -> list[Compensator
     """Train all networks in step; return the compensators with them."""
     if not parts:
         return []
-    from zerodrift.train.conclude import assemble
     from zerodrift.train.engine import EpochProgress, train_networks
-    from zerodrift.train.network_training import pose
+    from zerodrift.train.network_training import assemble, pose
 
     posed = [p for p in parts if p.settings is not None]
     checkpoint = handling.folder / LEFT_OUT if handling.folder else None

@@ -1,21 +1,207 @@
 """The parts before the network: physics, its lags, the linear part, and the residual to learn."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.thermometers import list_thermometers
+from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import TARE_RATIO, fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
-from zerodrift.train.lags import choose_lags
-from zerodrift.train.linear import fit_linear
 from zerodrift.train.sequences import Sequence32
+
+# The linear part of what physics leaves, solved exactly before the network sees anything.
+#
+# A network needs units and epochs to approximate a straight line, and bends where the training data
+# end. So the part of the residual that is linear in the network's features is first removed by
+# least squares, and the network learns only the non-linear part. It is kept where it predicts runs
+# left out better than nothing does.
+
+BLOCKS = 5
+"""A single run is left out in this many blocks of time."""
+RIDGE = 1e-6
+"""Share of each column's own square that is added to the normal equations."""
+HELPS = 0.97
+"""The linear part is kept if the error on runs left out falls below this multiple."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Sums of products of columns and targets, by what is left out together."""
+
+    by_group: Array
+    """[G, J + K, J + K]."""
+    width: int
+    """Number of columns J."""
+    samples: int
+    """Number of samples times outputs."""
+
+
+@dataclass(frozen=True)
+class FeatureTable:
+    """Columns and targets of all samples, each group without its mean."""
+
+    group: NDArray[np.int64]
+    """[m]."""
+    rows: Array
+    """[m, J + K]."""
+    width: int
+
+
+def stack_centred(
+    runs: Sequence[Run], columns: Sequence[Array], targets: Sequence[Array]
+) -> FeatureTable:
+    """Return columns [n, J] and targets [n, K] of all runs as one table.
+
+    A group's mean is taken off, since its offset may be that of a tare. A single run is cut into
+    blocks of time, which keep the run's mean.
+    """
+    names = list(dict.fromkeys(run.group for run in runs))
+    rows = np.concatenate(
+        [np.concatenate(pair, axis=1) for pair in zip(columns, targets, strict=True)]
+    )
+    if len(names) > 1:
+        group = np.concatenate([np.full(len(run), names.index(run.group)) for run in runs])
+        for g in range(len(names)):
+            rows[group == g] -= rows[group == g].mean(axis=0)
+    else:
+        rows -= rows.mean(axis=0)
+        group = np.arange(len(rows)) * BLOCKS // len(rows)
+    return FeatureTable(group, rows, columns[0].shape[1])
+
+
+def collect_moments(table: FeatureTable) -> Moments:
+    """Return the sums of products of a table."""
+    groups = [table.rows[table.group == g] for g in range(int(table.group.max()) + 1)]
+    by_group = np.stack([rows.T @ rows for rows in groups])
+    outputs = table.rows.shape[1] - table.width
+    return Moments(by_group, table.width, len(table.rows) * outputs)
+
+
+def score_left_out(moments: Moments) -> float:
+    """Return the RMSE of the linear model on each group when it is fitted to the others."""
+    total = moments.by_group.sum(axis=0)
+    j = moments.width
+    squares = 0.0
+    for own in moments.by_group:
+        solution = _solve(total - own, j)
+        squares += float(
+            np.trace(own[j:, j:])
+            - 2.0 * np.sum(solution * own[:j, j:])
+            + np.sum(solution * (own[:j, :j] @ solution))
+        )
+    return float(np.sqrt(max(squares, 0.0) / moments.samples))
+
+
+def fit_linear(runs: Sequence[Run], features: Sequence[Array], residuals: Sequence[Array]) -> Array:
+    """Return the coefficients [I, K] of the features, or zeros where they do not help.
+
+    Args:
+        runs: training runs.
+        features: [n, I] per run.
+        residuals: [n, K] per run, drift that physics leaves, in multiples of each output's scale.
+    """
+    moments = collect_moments(stack_centred(runs, features, residuals))
+    total = moments.by_group.sum(axis=0)
+    nothing = float(np.sqrt(np.trace(total[moments.width :, moments.width :]) / moments.samples))
+    if score_left_out(moments) > HELPS * nothing:
+        return np.zeros((moments.width, residuals[0].shape[1]))
+    return _solve(total, moments.width)
+
+
+def _solve(moment: Array, width: int) -> Array:
+    """Return the least-squares coefficients [J, K] of moments [J + K, J + K]."""
+    normal = moment[:width, :width]
+    ridge = RIDGE * np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(width)
+    return np.asarray(np.linalg.solve(normal + ridge, moment[:width, width:]))
+
+
+# Which lag of the temperature the network is shown, found from the logs themselves.
+#
+# The network remembers, but it learns soonest when one signal already has the speed of the sensor's
+# slow part. For each time constant of a grid a small linear model is solved: the physical model's
+# own features, and a cubic in the temperature after the lag. The time constant that predicts runs
+# left out best is taken; a second one only when it earns its place. `docs/decisions/020-what-the-
+# network-sees.md` has the comparison with fixed banks.
+
+GRID, REFINE = 16, 9
+"""Time constants that are tried, evenly spaced in the logarithm; then again around the best."""
+SHORTEST_STEPS = 3.0
+"""A lag shorter than this many samples shows the thermometer's noise more than its slope."""
+LONGEST_SHARE = 0.25
+"""A lag longer than this share of the longest run cannot be told from a slow drift."""
+EARNS_ITS_PLACE = 0.8
+"""A second lag must bring the error on runs left out below this multiple of the first one's."""
+MOST_LAGS = 2
+
+
+def choose_lags(
+    runs: Sequence[Run], features: Sequence[Array], drifts: Sequence[Array]
+) -> tuple[float, ...]:
+    """Return the time constants in seconds, the best one first.
+
+    Args:
+        runs: training runs.
+        features: [n, J] per run, those of the physical model.
+        drifts: [n, K] per run, in multiples of what physics leaves of each output.
+    """
+    dt_s = runs[0].sample_period_s
+    longest = max(len(run) for run in runs)
+    highest_s = max(LONGEST_SHARE * longest, 2.0 * SHORTEST_STEPS) * dt_s
+    grid = [float(tau) for tau in np.geomspace(SHORTEST_STEPS * dt_s, highest_s, GRID)]
+    ratio = grid[1] / grid[0]
+    levels = _standardise([run.temperature_degC[:, None] for run in runs])
+    base = [np.concatenate(p, axis=1) for p in zip(levels, _standardise(features), strict=True)]
+
+    def measure(lags_s: Sequence[float]) -> float:
+        columns = [
+            np.concatenate([x, *(_cube(lowpass(level[:, 0], dt_s, tau)) for tau in lags_s)], axis=1)
+            for x, level in zip(base, levels, strict=True)
+        ]
+        return score_left_out(collect_moments(stack_centred(runs, columns, drifts)))
+
+    chosen: list[float] = []
+    error = np.inf
+    for _ in range(MOST_LAGS):
+        best, _ = _search(measure, chosen, grid)
+        near = best * ratio ** np.linspace(-1.0, 1.0, REFINE)
+        best, found = _search(measure, chosen, near.tolist())
+        if found > EARNS_ITS_PLACE * error:
+            break
+        chosen.append(best)
+        error = found
+    return tuple(float(f"{tau:.3g}") for tau in chosen)
+
+
+def _search(
+    measure: Callable[[Sequence[float]], float], chosen: Sequence[float], grid: Sequence[float]
+) -> tuple[float, float]:
+    """Return the time constant that does best beside those chosen, and its error."""
+    scores = {tau: measure((*chosen, tau)) for tau in grid if tau not in chosen}
+    best = min(scores, key=lambda tau: scores[tau])
+    return best, scores[best]
+
+
+def _cube(x: Array) -> Array:
+    """Return x, x^2, x^3 as columns."""
+    return np.stack([x, x**2, x**3], axis=1)
+
+
+def _standardise(columns: Sequence[Array]) -> list[Array]:
+    """Return the columns at mean 0 and variance 1 over all runs, without those that never move."""
+    together = np.concatenate(columns)
+    spread = together.std(axis=0)
+    moves = spread > 1e-12 * np.abs(together).max(axis=0)
+    mean = together.mean(axis=0)
+    return [((x - mean) / np.where(moves, spread, 1.0))[:, moves] for x in columns]
+
 
 SPACING_S = 10.0
 """Between the samples of a window: at 0.1 s the thermometer's noise hides the slope."""

@@ -13,11 +13,7 @@ from zerodrift.dataset.chip_codes import refuse_unsayable
 from zerodrift.dataset.runs import Dataset
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.bank_training import train_bank
-from zerodrift.train.prepare import prepare, read_settings, stand_alone
-from zerodrift.train.scores import Trained, score
-from zerodrift.train.settings import Settings
-from zerodrift.train.stages import fit_physics
-from zerodrift.train.tasks import (
+from zerodrift.train.prepare import (
     FINAL,
     FREE,
     LEFT_OUT,
@@ -27,7 +23,13 @@ from zerodrift.train.tasks import (
     Handling,
     Report,
     Task,
+    prepare,
+    read_settings,
+    stand_alone,
 )
+from zerodrift.train.scores import Trained, score
+from zerodrift.train.settings import Settings
+from zerodrift.train.stages import fit_physics
 
 
 def list_checkpoints(config: Config) -> tuple[Path, ...]:

@@ -24,8 +24,7 @@ from benchmarks.bench_bound import search
 from zerodrift.base.config import CONSTRAINTS, Config
 from zerodrift.dataset.runs import Dataset
 from zerodrift.export.compose import calibrate, describe_compensator
-from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.layered_network import FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.scores import Trained
 from zerodrift.train.training import train_together

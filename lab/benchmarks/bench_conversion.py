@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.conversion_config import ConversionConfig, DividerConfig, sum_formula
+from zerodrift.base.column_config import ConversionConfig, DividerConfig, sum_formula
 from zerodrift.base.errors import InputError
 from zerodrift.codegen.generate import generate
+from zerodrift.dataset.conversions import emf
 from zerodrift.dataset.raw_codes import (
     SUM_LIMITS,
     RawRange,
@@ -18,8 +19,7 @@ from zerodrift.dataset.raw_codes import (
     cover_range,
     find_range,
 )
-from zerodrift.dataset.thermocouples import emf
-from zerodrift.export.conversions import JunctionCodes, design_conversion
+from zerodrift.export.channels import JunctionCodes, design_conversion
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize

@@ -17,8 +17,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
-from zerodrift.export.feedback import predict_fed_back
-from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.float_model import Calibration, FloatModel, predict_fed_back
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize

@@ -27,10 +27,10 @@ from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.train.engine import Problem, Result, train_networks
+from zerodrift.train.attempts import Problem
+from zerodrift.train.engine import Result, train_networks
 from zerodrift.train.network_training import pose_validation
-from zerodrift.train.prepare import prepare, read_settings
-from zerodrift.train.tasks import Task
+from zerodrift.train.prepare import Task, prepare, read_settings
 from zerodrift_lab.twin import EffectChoice, Recipe, simulate
 from zerodrift_lab.twin.logs import render_config, render_logs
 

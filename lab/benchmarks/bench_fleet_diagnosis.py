@@ -27,8 +27,7 @@ from benchmarks.hidden.cases import read_simulation
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.fleet_config import OUTLIER_Z
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.fleet.differing import find_differences
-from zerodrift.fleet.evidence import look_at_unit, pool_units
+from zerodrift.fleet.evidence import find_differences, look_at_unit, pool_units
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift_lab.twin.recipe import EffectChoice, Recipe
 from zerodrift_lab.twin.simulate import simulate

@@ -13,8 +13,8 @@ from tests.onnx.test_kinds import make_integer_model, read
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 

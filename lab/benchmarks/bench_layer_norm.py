@@ -9,7 +9,7 @@ from tests.golden.model_factory import Draw, Shape, draw_model
 
 from zerodrift.c_runtime.emulator import EmulatedModel
 from zerodrift.codegen.generate import generate
-from zerodrift.export.quantize_layer_norm import quantize_layer_norm
+from zerodrift.export.quantize_layers import quantize_layer_norm
 from zerodrift.operations.layer_norm import FloatLayerNorm
 
 Array = NDArray[np.float64]

@@ -35,7 +35,7 @@ from zerodrift.report.report import render_report
 from zerodrift.report.results import AddResult, CompareResult, DiagnoseResult
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.survey import SurveyRequest, survey
-from zerodrift.workbench import outcomes, panels, verdicts
+from zerodrift.workbench import panels, views
 
 QUICK = 5
 TAUS_S = (60.0, 20.0, 150.0, 40.0, 90.0)
@@ -123,9 +123,9 @@ def list_numbers(directory: Path) -> Iterator[ShownNumber]:
         *panels.show_tiles(findings),
         *panels.show_errors(findings),
         *panels.show_segments(findings),
-        *verdicts.show_verdict(findings, diagnosing=False, hides=False)[1],
-        *verdicts.show_candidates(findings, ()),
-        *outcomes.show_firmware(findings),
+        *panels.show_verdict(findings, diagnosing=False, hides=False)[1],
+        *panels.show_candidates(findings, ()),
+        *views.show_firmware(findings),
     ]
     terminal = {name: ask(directory, name) for name in ("compare", "diagnose")}
     tables = {

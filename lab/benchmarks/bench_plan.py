@@ -46,7 +46,7 @@ from benchmarks.planned_sensors import (
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import OPTIONAL, from_json, to_dict
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.discovery.likely import expect_verdicts, grow, outgrow, rise
+from zerodrift.discovery.criterion import expect_verdicts, grow, outgrow, rise
 from zerodrift.discovery.plan import Planned, Question, plan_experiment
 from zerodrift.physics.catalogue import load_catalogue
 
@@ -83,7 +83,7 @@ class Expected:
     probability: float
     """Of the right verdict, the mean over the draws."""
     grow: tuple[float, ...]
-    """What the probability is calculated from, see `discovery/likely.py`."""
+    """What the probability is calculated from, see `discovery/criterion.py`."""
     rise: tuple[float, ...]
     outgrow: tuple[float, ...]
     beside: tuple[float, ...]

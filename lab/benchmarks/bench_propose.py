@@ -33,8 +33,7 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.changes import propose_forms
-from zerodrift.diagnosis.formula.effect_file import render_file
-from zerodrift.diagnosis.formula.proposal import FormulaSearch, propose_formula
+from zerodrift.diagnosis.formula.proposal import FormulaSearch, propose_formula, render_file
 from zerodrift.diagnosis.revision import revise_best
 from zerodrift.export.compose import compose_integer_model, describe_compensator, encode_inputs
 from zerodrift.export.reference import Reference

@@ -27,8 +27,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.qemu import QemuModel, is_available
 from zerodrift.codegen.generate import generate
 from zerodrift.export.float_model import FloatModel
+from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import evaluate

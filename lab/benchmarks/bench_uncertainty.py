@@ -31,10 +31,9 @@ from zerodrift.export.compose import (
     describe_compensator,
     encode_inputs,
 )
-from zerodrift.tasks.applied_rows import UNSTATED
-from zerodrift.tasks.apply import Chip, measure_beyond
+from zerodrift.tasks.apply import UNSTATED, Chip, measure_beyond
+from zerodrift.train.prepare import Handling
 from zerodrift.train.refits import Original
-from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train
 from zerodrift.verify.left_out import LeftOut, leave_out_together
 from zerodrift.verify.uncertainty import measure_uncertainty

@@ -19,7 +19,7 @@ from zerodrift.c_runtime.host import HostTrace
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.host_check import choose_chunk
-from zerodrift.workbench.security import POLICY, WORKER_POLICY
+from zerodrift.workbench.server import POLICY, WORKER_POLICY
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

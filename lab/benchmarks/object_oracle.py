@@ -12,7 +12,7 @@ from unicorn.arm_const import (
     UC_ARM_REG_SP,
 )
 
-from zerodrift.c_runtime.chip import PAGE, make_chip
+from zerodrift.c_runtime.emulator import PAGE, make_chip
 from zerodrift_proof.equality.kernels import CELL_LIMIT, H_LIMIT_Q30, Numbered
 from zerodrift_proof.object.image import Image, Kernel
 

@@ -14,10 +14,10 @@ import numpy as np
 from zerodrift.base.config import Config, EffectConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.discovery.files import list_protocols
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.plan import Planned, Question, plan_experiment
 from zerodrift.discovery.programme import SetProgramme
+from zerodrift.discovery.summary import list_protocols
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift_lab.twin.logger import SimulatedRun
 from zerodrift_lab.twin.played import play_protocols

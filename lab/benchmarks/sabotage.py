@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.mutants.judge import replace_file
 from benchmarks.mutants.subjects import PROJECTS, train_project
-from zerodrift.verify.records import RECORDS
+from zerodrift.verify.replay import RECORDS
 
 ROOT = Path(__file__).parents[2] / "build" / "sabotage"
 FOLDERS = ("firmware", "build")

@@ -1,4 +1,4 @@
-"""How often an effect is named of one or two logs: `NAMED_OF_FEWEST` of `discovery/likely.py`.
+"""How often an effect is named of one or two logs: `NAMED_OF_FEWEST` of `discovery/criterion.py`.
 
     python -m benchmarks.study_few_logs [--file FILE] [--minutes M] [--seed N]
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.bench_plan import PAIRS, Key, Trial, choose_truth, run_trials
 from benchmarks.study_likely import expect
-from zerodrift.discovery import likely, plan
+from zerodrift.discovery import criterion, plan
 from zerodrift.discovery.limits import Limits
 from zerodrift.discovery.patterns import choose_spaces
 
@@ -63,8 +63,8 @@ def main() -> None:
     trials = run(options.seed, options.file, options.minutes)
     expected = [t.expected for t in trials if t.expected is not None]
     right, runs = np.array([t.right for t in trials]), np.array([t.runs for t in trials])
-    slope = likely.NAMED_OF_FEW[1]
-    numbers = np.array([likely.APART, likely.NAMED, likely.NAMED_OF_FEW, likely.WORTH])
+    slope = criterion.NAMED_OF_FEW[1]
+    numbers = np.array([criterion.APART, criterion.NAMED, criterion.NAMED_OF_FEW, criterion.WORTH])
     print(f"simulated sensors, {len(trials)} verdicts, {right.sum()} right; slope {slope:g}")
     best, most = 0.0, -np.inf
     for offset in OFFSETS.tolist():

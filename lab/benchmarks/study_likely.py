@@ -1,4 +1,4 @@
-"""The numbers of `discovery/likely.py`: what fits verdicts on simulated sensors best.
+"""The numbers of `discovery/criterion.py`: what fits verdicts on simulated sensors best.
 
     python -m benchmarks.study_likely [--file FILE] [--minutes M] [--seed N] [--plans N] [--draws N]
 
@@ -23,7 +23,7 @@ from scipy.special import ndtr
 from benchmarks.bench_plan import Expected, Trial, list_probability, run_trials
 from zerodrift.diagnosis.judgement import MANY_RUNS
 from zerodrift.diagnosis.rules import ENOUGH_RUNS
-from zerodrift.discovery.likely import MOST, NAMED_OF_FEWEST, logistic, tell_disguised
+from zerodrift.discovery.criterion import MOST, NAMED_OF_FEWEST, logistic, tell_disguised
 
 Array = NDArray[np.float64]
 

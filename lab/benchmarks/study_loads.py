@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
-from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.float_model import predict_fed_back
 from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import TEMPERATURE
-from zerodrift.train.lag_bank.fit import prepare
-from zerodrift.train.lag_bank.loads import LoadPart, fit_loads, see_loads
+from zerodrift.train.lag_bank.fit import LoadPart, fit_loads, prepare, see_loads
 from zerodrift.train.lag_bank.model import POWERS
-from zerodrift.train.lag_bank.projection import solve_ridge
-from zerodrift.train.lag_bank.search import Rows, choose_bank, pick
+from zerodrift.train.lag_bank.search import Rows, choose_bank, pick, solve_ridge
 from zerodrift_lab.methods import METHODS, Options
 from zerodrift_lab.paper.plan import DEFAULT
 from zerodrift_lab.paper.world import (

@@ -33,7 +33,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.diagnosis.probability import (
+from zerodrift.diagnosis.diagnosis_report import (
     CANDIDATE,
     ELSE,
     MAPS,
@@ -229,7 +229,7 @@ def main() -> None:
         if options.write:
             lines = [
                 "# Written by `python -m benchmarks.study_probability fit --write`; the figures'",
-                "# order stands in diagnosis/probability.py. Fitted on "
+                "# order stands in diagnosis/diagnosis_report.py. Fitted on "
                 f"{len(cases)} simulated cases.",
             ]
             lines += [

@@ -23,7 +23,7 @@ from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.data import DEGREE
 from zerodrift.train.lag_bank.fit import assemble_fit, prepare
 from zerodrift.train.lag_bank.search import choose_bank, pick, span_of
-from zerodrift.train.lag_bank.unit_choice import Choice, Trial
+from zerodrift.train.lag_bank.units import Choice, Trial
 from zerodrift_lab.methods.interface import Options, list_outputs
 from zerodrift_lab.methods.physical import DEFAULT_EFFECTS
 from zerodrift_lab.paper.world import BODY, CHAMBER_CYCLES, record_test, record_training

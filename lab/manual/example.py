@@ -8,8 +8,7 @@ import plotly.graph_objects as go
 from click.testing import CliRunner
 
 from zerodrift.cli.main import cli
-from zerodrift.report.figures import draw_candidates, draw_staircase
-from zerodrift.report.figures_runs import Window, draw_run
+from zerodrift.report.figures import Window, draw_candidates, draw_run, draw_staircase
 from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.tasks.survey import SurveyRequest, list_contributions, survey
 

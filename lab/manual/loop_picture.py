@@ -17,9 +17,8 @@ from zerodrift.base.journal import write_text
 from zerodrift.diagnosis.drivers import TEMPERATURE, DriftDriver
 from zerodrift.report import cause
 from zerodrift.report.pictures import draw_stairs
-from zerodrift.report.plot import AxisScale, Panel, Picture
 from zerodrift.report.results import read_result
-from zerodrift.report.svg import render_svg
+from zerodrift.report.svg import AxisScale, Panel, Picture, render_svg
 from zerodrift.report.window import Window
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.survey import SurveyRequest, survey

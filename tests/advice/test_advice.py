@@ -6,8 +6,7 @@ from tests.advice.conftest import CHAMBER, HEAT_PATH, MIXED, lag, straighten
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.records import to_dict
-from zerodrift.diagnosis.advice import advise
-from zerodrift.diagnosis.network_memory import SPACING_S
+from zerodrift.diagnosis.advice import SPACING_S, advise
 
 
 def named(advice):

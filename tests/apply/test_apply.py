@@ -18,9 +18,7 @@ from zerodrift.dataset.log_steps import name_columns, read_log_steps
 from zerodrift.export.compose import predict_integer
 from zerodrift.export.integer_model import FLAG_NO_READING, IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.tasks.applied_model import choose_file
-from zerodrift.tasks.applied_rows import FLAG_NAMES
-from zerodrift.tasks.apply import Chip, answer
+from zerodrift.tasks.apply import FLAG_NAMES, Chip, answer, choose_file
 
 HEADER = "time_s,temperature_degC,y_N"
 

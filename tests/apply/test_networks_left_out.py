@@ -12,15 +12,14 @@ from tests.gate.sensors import TESTS, TRAIN, write_sensor
 
 from zerodrift.base.config import NetworkConfig, load_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import from_json
-from zerodrift.base.sealed import read_sealed
+from zerodrift.base.records import from_json, read_sealed
 from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.train import conclude, refits
+from zerodrift.train import network_training, refits
 from zerodrift.train.compensator import Compensator, TrainedAs
+from zerodrift.train.prepare import Handling
 from zerodrift.train.refits import MOST_PARTS, Original, find_network, split_parts
-from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train
 from zerodrift.verify.left_out import LeftOut, leave_out, leave_out_together
 from zerodrift.verify.uncertainty import Uncertainty
@@ -78,7 +77,7 @@ def test_it_is_trained_as_the_whole_one_was(
     """Without the first run it is the network that `train` makes of the others' logs alone."""
     config, dataset, whole = original.config, original.dataset, original.compensator
     assert whole.trained_as == TrainedAs(start=0, epochs=12)
-    monkeypatch.setattr(conclude, "WORTH_ITS_FLASH", 10.0)
+    monkeypatch.setattr(network_training, "WORTH_ITS_FLASH", 10.0)
     others = Dataset(dataset.train[1:], dataset.test, (), *names_of(dataset))
     alone = train(config, others).compensator
     assert alone.trained_as == whole.trained_as
@@ -132,7 +131,7 @@ def test_none_is_stated_where_none_is_wanted(project: Path, tmp_path: Path) -> N
 
 
 def test_an_lstm_has_one_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conclude, "WORTH_ITS_FLASH", 10.0)
+    monkeypatch.setattr(network_training, "WORTH_ITS_FLASH", 10.0)
     config = load_config(write_network(tmp_path / "p", "lstm"))
     dataset = load_dataset(config)
     config.build_directory.mkdir()

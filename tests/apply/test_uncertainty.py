@@ -12,8 +12,7 @@ from scipy.stats import t as student
 
 import zerodrift as zd
 from zerodrift.base.config import load_config
-from zerodrift.base.records import Json, from_json
-from zerodrift.base.sealed import read_sealed
+from zerodrift.base.records import Json, from_json, read_sealed
 from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.report.results import ApplyResult, CompareResult, ReportResult

@@ -8,7 +8,7 @@ from polars.exceptions import ComputeError
 
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.text_format import TextFormat
-from zerodrift.tasks import applied_rows
+from zerodrift.tasks import apply
 from zerodrift.tasks.built import read_kept
 
 
@@ -34,7 +34,7 @@ ROWS = make_rows()
 def test_answers_have_the_decimal_mark_of_the_log(tmp_path, name, comma, written):
     text = TextFormat(names=("Kraft",), separator=";", decimal_comma=comma)
     rows = make_rows(text, Kraft=["-7,994"], drift=[-8.5], flags=[0])
-    applied_rows.write_rows(rows, tmp_path / name)
+    apply.write_rows(rows, tmp_path / name)
     assert (tmp_path / name).read_text("utf-8") == written
 
 
@@ -43,11 +43,11 @@ def test_a_full_disk_under_parquet_is_one_message(tmp_path, monkeypatch):
         path.write_bytes(b"half")
         raise ComputeError("No space left on device (os error 28)")
 
-    monkeypatch.setattr(applied_rows, "_write_parquet", fail)
+    monkeypatch.setattr(apply, "_write_parquet", fail)
     out = tmp_path / "out.parquet"
     out.write_bytes(b"before")
     with pytest.raises(InputError, match=r"No space left on device.*Make room on that disk"):
-        applied_rows.write_rows(ROWS, out)
+        apply.write_rows(ROWS, out)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
         "out.parquet": b"before"
     }
@@ -57,15 +57,15 @@ def test_what_is_no_answer_of_the_disk_stays_as_it_is(tmp_path, monkeypatch):
     def fail(rows, path):
         raise ComputeError("schemas differ")
 
-    monkeypatch.setattr(applied_rows, "_write_parquet", fail)
+    monkeypatch.setattr(apply, "_write_parquet", fail)
     with pytest.raises(ComputeError, match="schemas differ"):
-        applied_rows.write_rows(ROWS, tmp_path / "out.parquet")
+        apply.write_rows(ROWS, tmp_path / "out.parquet")
 
 
 def test_what_a_killed_run_left_goes(tmp_path):
     (tmp_path / ".out.csv.0123abcd.zd-new").write_bytes(b"half")
     (tmp_path / ".other.csv.0123abcd.zd-new").write_bytes(b"of another file")
-    applied_rows.write_rows(ROWS, tmp_path / "out.csv")
+    apply.write_rows(ROWS, tmp_path / "out.csv")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         ".other.csv.0123abcd.zd-new",
         "out.csv",

@@ -14,8 +14,7 @@ from zerodrift.base.errors import CheckError, InputError
 from zerodrift.blocks.block import BlockNotes, apply, decode, encode, find_size
 from zerodrift.blocks.design import BlockDesign, load_design, make_design
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.codegen.block_text import widen
-from zerodrift.codegen.generate import GeneratedCode, generate_design
+from zerodrift.codegen.generate import GeneratedCode, generate_design, widen
 from zerodrift.codegen.selftest import compute_selftest
 from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
 from zerodrift.export.quantize import quantize

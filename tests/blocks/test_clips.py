@@ -9,7 +9,7 @@ import pytest
 from tests.blocks.test_blocks import make_block
 from tests.blocks.units import LSB_K, PERIOD_S
 from zerodrift.base.errors import CheckError
-from zerodrift.blocks.clips import share_clips
+from zerodrift.blocks.align import share_clips
 from zerodrift.blocks.design import make_design
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate_design

@@ -6,8 +6,8 @@ from datetime import date
 import pytest
 
 from tests.field.conftest import make_bare_block
-from zerodrift.base.block_config import BlockConfig
 from zerodrift.base.errors import InputError
+from zerodrift.base.fleet_config import BlockConfig
 from zerodrift.blocks.block import decode_header
 from zerodrift.blocks.editions import (
     FILE_NAME,
@@ -19,8 +19,8 @@ from zerodrift.blocks.editions import (
     render_units,
 )
 from zerodrift.field.editions import find_editions
+from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
-from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 
 MARCH, APRIL = (BlockConfig("block", calibrated=date(2026, m, 1)) for m in (3, 4))
 NONE = BlockConfig("block")

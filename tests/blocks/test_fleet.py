@@ -16,8 +16,7 @@ from zerodrift.blocks.design import load_design
 from zerodrift.blocks.fields import put, read
 from zerodrift.dataset.runs import Dataset
 from zerodrift.fleet import block_work, work
-from zerodrift.fleet.batch import RANDOM_STEPS
-from zerodrift.fleet.spool import Spooled, spool
+from zerodrift.fleet.work import RANDOM_STEPS, Spooled, spool
 
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
 

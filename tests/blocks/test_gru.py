@@ -21,8 +21,8 @@ from zerodrift.blocks.gru import put_stream, read_stream
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate_design
+from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.verify.certificate import certify_design

@@ -6,8 +6,17 @@ import numpy as np
 
 from tests.blocks.units import LSB_K, describe_unit, make_unit
 from zerodrift.blocks.design import make_design
-from zerodrift.blocks.gru import align_layers, find_overflow, read_stream, refine
-from zerodrift.blocks.rounding import RUNS, STEPS, draw_codes, round_rows, visit
+from zerodrift.blocks.gru import (
+    RUNS,
+    STEPS,
+    align_layers,
+    draw_codes,
+    find_overflow,
+    read_stream,
+    refine,
+    round_rows,
+    visit,
+)
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference

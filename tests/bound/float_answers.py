@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.layered_network import FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.operations.dense import FloatFeedForward

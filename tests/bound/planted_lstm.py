@@ -6,10 +6,9 @@ from fractions import Fraction
 
 from tests.bound.planted_recurrent import Patch
 from zerodrift.operations.errors import NONE, Error
-from zerodrift.operations.lstm import error, step_error
-from zerodrift.operations.lstm.parts import Box, FloatGate
-from zerodrift.operations.lstm.step_error import LstmStepError, StepRules
-from zerodrift.operations.table_error import SigmoidError
+from zerodrift.operations.lstm import error
+from zerodrift.operations.lstm.error import Box, FloatGate, LstmStepError, StepRules
+from zerodrift.operations.tables import SigmoidError
 
 ZERO = Fraction(0)
 
@@ -19,7 +18,7 @@ def _patch(target: object, name: str, value: object) -> Callable[[Patch], None]:
 
 
 _right_halve, _right_step, _right_solve = error.halve, StepRules.bound_step, error._solve
-_right_cell, _right_slope = LstmStepError.grow_cell, step_error.bound_slope
+_right_cell, _right_slope = LstmStepError.grow_cell, error.bound_slope
 
 
 def _halve_one_side(gates: Sequence[FloatGate], box: Box) -> list[Box]:
@@ -41,18 +40,16 @@ RULES: dict[str, Callable[[Patch], None]] = {
     "size of each part": _patch(
         LstmStepError, "grow_cell", lambda part, moved, size: _right_cell(part, moved, part.size)
     ),
-    "table of tanh": _patch(step_error, "bound_tanh", lambda: ZERO),
+    "table of tanh": _patch(error, "bound_tanh", lambda: ZERO),
     "table of the sigmoid": _patch(
-        step_error, "bound_sigmoid_table", lambda low, high: SigmoidError(ZERO, ZERO)
+        error, "bound_sigmoid_table", lambda low, high: SigmoidError(ZERO, ZERO)
     ),
     "features": _patch(StepRules, "_sum_features", lambda rules, *given: NONE),
     "own": _change_step(lambda step: replace(step, own=NONE)),
     "output gate": _change_step(
         lambda step: replace(step, output=replace(step.output, error=NONE))
     ),
-    "slope of tanh": _patch(
-        step_error, "bound_slope", lambda low, high: _right_slope(low, high) / 8
-    ),
+    "slope of tanh": _patch(error, "bound_slope", lambda low, high: _right_slope(low, high) / 8),
     "half": _patch(error, "_solve", lambda growths: _halved(_right_solve(growths))),
 }
 

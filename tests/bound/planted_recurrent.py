@@ -7,7 +7,7 @@ from typing import Protocol
 
 from zerodrift.operations.errors import NONE, Error
 from zerodrift.operations.gru import error
-from zerodrift.operations.table_error import SigmoidError
+from zerodrift.operations.tables import SigmoidError
 
 ZERO = Fraction(0)
 

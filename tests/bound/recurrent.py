@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from tests.bound.cases import Case
 from tests.bound.planted import BATCH, FINE, PERIOD_S
 from tests.effects_on_chip.random_graphs import LSBS, describe_graph, draw_codes
-from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork, FloatNetwork
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm

@@ -14,18 +14,17 @@ from tests.certificate.test_check import list_texts
 from tests.effects_on_chip.random_graphs import describe_graph, draw_codes
 from tests.operations import test_conversion as one_code
 from tests.operations import test_thermocouple as couples
-from zerodrift.base.conversion_config import ConversionConfig, DividerConfig
+from zerodrift.base.column_config import ConversionConfig, DividerConfig
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.raw_codes import RawRange, cover_range, find_range
-from zerodrift.export.conversions import design_conversion
+from zerodrift.export.channels import design_conversion
 from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import GraphOperations
-from zerodrift.verify.certificate import certify
-from zerodrift.verify.certificate_conversions import describe_conversions
+from zerodrift.verify.certificate import certify, describe_conversions
 from zerodrift_proof.bound.conversion import ConversionCheck
 from zerodrift_proof.certificate.check import compare
 from zerodrift_proof.certificate.model import read_models

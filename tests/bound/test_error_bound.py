@@ -20,10 +20,13 @@ from zerodrift.operations.enclosure import (
     shorten,
 )
 from zerodrift.operations.exp2 import OCTAVE_Q29
-from zerodrift.operations.octave import bound_exp2_octave, bound_power_octave
-from zerodrift.operations.polynomial import evaluate_polynomial, fit_octave
-from zerodrift.operations.table_error import bound_tanh
-from zerodrift.operations.tables import T_MAX, T_MIN, tanh_q30
+from zerodrift.operations.polynomial import (
+    bound_exp2_octave,
+    bound_power_octave,
+    evaluate_polynomial,
+    fit_octave,
+)
+from zerodrift.operations.tables import T_MAX, T_MIN, bound_tanh, tanh_q30
 from zerodrift.verify.certificate import certify
 
 SEED = 11

@@ -19,14 +19,13 @@ from tests.bound.lstms import (
 from tests.bound.planted_lstm import FOUND, RULES
 from tests.bound.recurrent import make_case
 from zerodrift.export.error_bound import round_up
-from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.operations.errors import Known
 from zerodrift.operations.gate_sums import RealUnit
 from zerodrift.operations.lstm import IntegerLstmLayer, error
-from zerodrift.operations.lstm.parts import HALVINGS, FloatGate, halve
-from zerodrift.operations.lstm.step_error import StepRules
-from zerodrift_proof.bound import lstm as bound_lstm
-from zerodrift_proof.bound.lstm import GateLine, list_parts
+from zerodrift.operations.lstm.error import HALVINGS, FloatGate, StepRules, halve
+from zerodrift_proof.bound import gru as bound_lstm
+from zerodrift_proof.bound.gru import GateLine, list_parts
 from zerodrift_proof.certificate.check import compare
 
 KINDS = (

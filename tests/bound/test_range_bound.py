@@ -13,7 +13,7 @@ from tests.bound.lstms import draw_lstm
 from tests.bound.recurrent import Forgetful, draw_all_codes, draw_gru, draw_upper, make_case
 from tests.effects_on_chip.random_graphs import LSBS
 from zerodrift.export.error_bound import round_up
-from zerodrift.export.layered_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift_proof.certificate.check import compare
 

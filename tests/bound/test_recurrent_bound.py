@@ -18,8 +18,7 @@ from tests.bound.recurrent import (
     measure_recurrent,
 )
 from zerodrift.export.error_bound import round_up
-from zerodrift.operations.table_error import bound_sigmoid_table
-from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31
+from zerodrift.operations.tables import T_MAX, T_MIN, bound_sigmoid_table, sigmoid_q31
 from zerodrift_proof.bound.numbers import sigmoid_error
 from zerodrift_proof.certificate.check import compare
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.certificate.test_check import build_files, find_fault
 from tests.golden.model_factory import Shape, draw_model
-from zerodrift.codegen import state
+from zerodrift.codegen import generate
 from zerodrift_proof.certificate.check import compare
 
 SHAPES = {
@@ -99,7 +99,7 @@ FAULTS = {
 def build_guarded(name: str, guarded: bool = True) -> tuple[str, dict[str, str]]:
     with pytest.MonkeyPatch.context() as patch:
         if name == "loops":
-            patch.setattr(state, "MOST_WRITTEN_OUT", 1)
+            patch.setattr(generate, "MOST_WRITTEN_OUT", 1)
         return build_files(replace(draw_model(SHAPES[name], 31), guarded=guarded))
 
 

@@ -11,7 +11,7 @@ from tests.golden.model_factory import Draw, Shape, draw_model
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.codegen import state
+from zerodrift.codegen import generate as generate_module
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
 from zerodrift.export.model_files import load_model
@@ -32,7 +32,7 @@ SHAPES = {
 def shorten_fields(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sum the shape "loops" up as a model with longer fields is."""
     if "loops" in request.node.name:
-        monkeypatch.setattr(state, "MOST_WRITTEN_OUT", 1)
+        monkeypatch.setattr(generate_module, "MOST_WRITTEN_OUT", 1)
 
 
 def draw_guarded(name: str, seed: int = 31) -> IntegerModel:

@@ -10,7 +10,7 @@ from tests.surroundings.conftest import write_project
 from zerodrift.base.config import load_config
 from zerodrift.c_runtime.emulator import EmulatedModel
 from zerodrift.c_runtime.footprint import measure_footprint
-from zerodrift.c_runtime.host_batch import build_host_batch
+from zerodrift.c_runtime.host import build_host_batch
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model, describe_compensator, encode_inputs

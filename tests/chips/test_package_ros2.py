@@ -13,8 +13,7 @@ from tests.golden.vectors import load
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES, find_compiler
 from zerodrift.codegen.generate import generate
-from zerodrift.codegen.package_ros2 import UNSURE
-from zerodrift.codegen.packages import render_package
+from zerodrift.codegen.packages import UNSURE, render_package
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 

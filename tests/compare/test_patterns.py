@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from zerodrift.diagnosis.concentrations import score_place
 from zerodrift.diagnosis.descriptors import cut_blocks, describe, format_time, list_thresholds
-from zerodrift.diagnosis.patterns import find_patterns
-from zerodrift.diagnosis.scan import SIGNED, Scan, count_digits
-from zerodrift.diagnosis.segments import NO_PATTERN, find_failures
+from zerodrift.diagnosis.segments import (
+    NO_PATTERN,
+    SIGNED,
+    Scan,
+    count_digits,
+    find_failures,
+    find_patterns,
+    score_place,
+)
 
 FLOOR = np.array([0.05, 0.05])
 NAMES = {"outputs": ("Fz", "Mx"), "units": ("N", "Nm"), "full_scale": (2000.0, 20.0)}

@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 from tests.projects import FORCE, render_toml
 
-from zerodrift.base.column_config import CodesConfig
+from zerodrift.base.column_config import CodesConfig, ConversionConfig, DividerConfig
 from zerodrift.base.config import parse_config
-from zerodrift.base.conversion_config import ConversionConfig, DividerConfig
 from zerodrift.base.errors import InputError
 
 NTC = 'convert = "ntc", r25_ohm = 10000, beta_K = 3950'

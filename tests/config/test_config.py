@@ -6,7 +6,7 @@ import pytest
 
 from zerodrift.base.config import load_config, parse_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.toml_lines import find_line, index_lines
+from zerodrift.base.toml_table import find_line, index_lines
 
 WHOLE = """\
 [sensor]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tests.projects import FORCE, render_toml
 
+from zerodrift.base.column_config import ConversionConfig, DividerConfig
 from zerodrift.base.config import load_config
-from zerodrift.base.conversion_config import ConversionConfig, DividerConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.load import load_dataset

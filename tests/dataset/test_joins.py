@@ -8,7 +8,7 @@ from tests.projects import FORCE, render_toml
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.clock_difference import measure_difference
+from zerodrift.dataset.join import measure_difference
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.log_steps import read_log_steps
 

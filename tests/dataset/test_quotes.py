@@ -49,6 +49,6 @@ def test_quotation_marks_in_pairs_cost_no_row(project, rows, text):
 
 
 def test_mark_that_is_never_closed_is_found_without_reading_the_rest(project, rows, monkeypatch):
-    monkeypatch.setattr("zerodrift.dataset.quotes._LONGEST_FIELD_BYTES", 100)
+    monkeypatch.setattr("zerodrift.dataset.tables._LONGEST_FIELD_BYTES", 100)
     project.write_log(remark(rows(), {10: '5" pipe', 30: '6" pipe'}), header=HEADER)
     assert project.refusal().startswith("log.csv:12: a quotation mark opens a field")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from zerodrift.base.ranks import find_median, find_quantile
+from zerodrift.base.arrays import find_median, find_quantile
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from zerodrift.dataset.resample import MIN_STEPS, plan_average, plan_stretches
+from zerodrift.dataset.sampling import MIN_STEPS, plan_average, plan_stretches
 
 
 def average_slowly(time_s, values, last_width_s, edges_s):

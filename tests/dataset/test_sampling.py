@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from zerodrift.dataset.resample import plan_stretches
-from zerodrift.dataset.sampling import look_at_sampling
+from zerodrift.dataset.sampling import look_at_sampling, plan_stretches
 
 
 def make_times(*parts: tuple[int, float], jitter: float = 0.0, seed: int = 0) -> np.ndarray:

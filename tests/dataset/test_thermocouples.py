@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 from tests.projects import FORCE, render_toml
 
+from zerodrift.base.column_config import ConversionConfig
 from zerodrift.base.config import load_config
-from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.chip_codes import refuse_outside
-from zerodrift.dataset.code_format import TEMPERATURE, ChipCodes
-from zerodrift.dataset.conversions import convert
+from zerodrift.dataset.chip_codes import TEMPERATURE, ChipCodes, refuse_outside
+from zerodrift.dataset.conversions import COUPLES, convert, emf, find_sure_span, invert
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.log_steps import read_log_steps
-from zerodrift.dataset.thermocouples import COUPLES, emf, find_sure_span, invert
 
 MICROVOLT_ROUNDED = 0.5e-6
 TABLES = {

@@ -12,7 +12,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.dataset.time_units import read_time_unit, write_time
+from zerodrift.dataset.units import read_time_unit, write_time
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1 / 60, "h": 1 / 3600}
 EPOCH_S = 1.767e9

@@ -25,7 +25,7 @@ from zerodrift.export.compose import (
     encode_inputs,
     predict_integer,
 )
-from zerodrift.export.feedback import predict_fed_back
+from zerodrift.export.float_model import predict_fed_back
 from zerodrift.export.integer_model import FLAG_DAMAGED, IntegerModel
 from zerodrift.export.reference import Reference
 

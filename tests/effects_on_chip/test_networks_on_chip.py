@@ -20,13 +20,13 @@ from zerodrift.export.compose import (
 )
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.compensator import Compensator
-from zerodrift.train.lag_bank import unit_choice
-from zerodrift.train.lag_bank.unit_choice import Trial, list_trials
+from zerodrift.train.lag_bank import units
+from zerodrift.train.lag_bank.units import Trial, list_trials
 from zerodrift.train.training import train
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import recheck
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 
@@ -91,7 +91,7 @@ def test_network_is_the_same_on_the_chip(
         return list_trials(*arguments, **options)[1:]
 
     if kind == "many units":  # whatever the logs ask for
-        monkeypatch.setattr(unit_choice, "list_trials", list_many)
+        monkeypatch.setattr(units, "list_trials", list_many)
     compensator, config = train_network(kind, tmp_path)
     runs = tuple(add_drift(run, loaded=False) for run in draw_runs(4, LENGTH))
     assert compensator.network is not None

@@ -18,8 +18,7 @@ from zerodrift.blocks.design import BlockDesign, load_design
 from zerodrift.cli.main import cli
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.field.registry import open_registry
-from zerodrift.field.registry_file import FILE_NAME
+from zerodrift.field.registry import FILE_NAME, open_registry
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.tasks import apply as chip
 from zerodrift.tasks.monitored_log import Deployed, apply_to, open_log

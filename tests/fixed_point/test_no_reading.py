@@ -27,8 +27,8 @@ from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.firmware import recheck
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host, check_starts
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 

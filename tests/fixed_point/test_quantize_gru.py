@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.golden.model_factory import Draw
 
 from zerodrift.base.errors import CheckError
-from zerodrift.export.quantize_gru import quantize_gru, quantize_head
+from zerodrift.export.quantize_layers import quantize_gru, quantize_head
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.intervals import Interval
 

@@ -7,7 +7,7 @@ import pytest
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.base.errors import CheckError
-from zerodrift.c_runtime.host_batch import build_host_batch, include_renamed
+from zerodrift.c_runtime.host import build_host_batch, include_renamed
 from zerodrift.codegen.generate import generate
 from zerodrift.verify.host_check import check_host
 

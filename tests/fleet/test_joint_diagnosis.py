@@ -13,8 +13,7 @@ from tests.schemas import validate
 from zerodrift.base.errors import InputError
 from zerodrift.base.fleet_config import OUTLIER_Z
 from zerodrift.cli.main import cli
-from zerodrift.fleet.differing import find_differences
-from zerodrift.fleet.evidence import ExaminedUnit, UnitEffect, UnitLook, pool
+from zerodrift.fleet.evidence import ExaminedUnit, UnitEffect, UnitLook, find_differences, pool
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift_lab.twin import EffectChoice, Recipe, simulate
 from zerodrift_lab.twin.logs import render_logs

@@ -13,8 +13,7 @@ from tests.fleet.conftest import NETWORK, SENSORS
 import zerodrift as zd
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.records import from_json
-from zerodrift.base.sealed import read_sealed
+from zerodrift.base.records import from_json, read_sealed
 from zerodrift.cli.main import cli
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import predict_integer

@@ -15,7 +15,7 @@ from tests.state.test_stored import STORED
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.toml_inputs import set_columns
+from zerodrift.base.toml_edit import set_columns
 from zerodrift.dataset.chip_codes import choose_input_codes, choose_temperature_codes
 from zerodrift.dataset.load import load_dataset
 from zerodrift.fleet.sensors import configure_sensor

@@ -18,7 +18,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import OverRay, Serial
 from zerodrift.fleet.run import run_fleet
-from zerodrift.fleet.stores import fetch
+from zerodrift.fleet.sensors import fetch
 
 fsspec = pytest.importorskip("fsspec")
 FOLDER = '"fleet/{sensor}"'

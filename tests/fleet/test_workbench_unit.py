@@ -11,9 +11,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.cli.main import cli
 from zerodrift.fleet.sensors import FOLDER
 from zerodrift.report.results import TrainResult
-from zerodrift.workbench.actions import press
 from zerodrift.workbench.early import tell_project
-from zerodrift.workbench.server import Workbench
+from zerodrift.workbench.server import Workbench, press
 from zerodrift.workbench.workplace import Workplace
 
 
@@ -73,7 +72,7 @@ def test_a_unit_that_is_not_there_is_refused_before_a_page_is_promised(fleet: Pa
 
 @pytest.mark.parametrize("unit", SENSORS[:1])
 def test_what_is_built_of_the_unit_counts_as_changed_from_outside(fleet: Path, unit: str) -> None:
-    from zerodrift.workbench.marks import mark_files
+    from zerodrift.workbench.workplace import mark_files
 
     built = fleet / "build" / FOLDER / unit
     built.mkdir(parents=True)

@@ -22,14 +22,15 @@ from zerodrift.report.tables import tabulate_chip_error
 from zerodrift.tasks.built import read_firmware
 from zerodrift.train.training import train
 from zerodrift.verify import chip_error, left_out
-from zerodrift.verify.contrast import (
+from zerodrift.verify.gate import (
+    GateVerdict,
     _sum_blocks,
+    ask_for_tare,
     contrast_errors,
     find_chance,
     hold_jointly,
     measure_correlation,
 )
-from zerodrift.verify.gate import GateVerdict, ask_for_tare
 from zerodrift.verify.summary import FirmwareSummary, Statement
 
 

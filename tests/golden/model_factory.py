@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.layered_network import Cell, FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import Cell, FloatLayer, FloatLayeredNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense

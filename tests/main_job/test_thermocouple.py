@@ -10,8 +10,8 @@ from tests.main_job.conftest import invoke
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.conversions import emf
 from zerodrift.dataset.load import load_dataset
-from zerodrift.dataset.thermocouples import emf
 from zerodrift.export.integer_model import FLAG_INPUT_RANGE, FLAG_NO_READING
 from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference

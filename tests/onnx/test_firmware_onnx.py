@@ -16,10 +16,14 @@ from zerodrift.cli.main import cli
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
-from zerodrift.export.compose import compose_integer_model, predict_integer
-from zerodrift.export.compose_import import describe_imported, read_features
+from zerodrift.export.compose import (
+    compose_integer_model,
+    describe_imported,
+    predict_integer,
+    read_features,
+)
 from zerodrift.export.onnx_reader import read_imported_bytes
-from zerodrift.tasks.imported import OnnxRequest, open_import
+from zerodrift.tasks.firmware import OnnxRequest, open_import
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.verify.firmware_check import check_firmware
 from zerodrift.verify.vectors import draw_sequences

@@ -20,8 +20,7 @@ from zerodrift.base.config import load_config
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import calibrate, predict_integer
-from zerodrift.export.compose_import import describe_imported
+from zerodrift.export.compose import calibrate, describe_imported, predict_integer
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.export.quantize import quantize
 from zerodrift.verify.error_budget import ErrorBudget, measure_budget

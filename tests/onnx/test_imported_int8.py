@@ -16,8 +16,7 @@ from tests.onnx.test_firmware_onnx import (
 )
 from tests.onnx.torch_networks import Form, export
 
-from zerodrift.export.compose import compose_integer_model, predict_integer
-from zerodrift.export.compose_import import describe_imported
+from zerodrift.export.compose import compose_integer_model, describe_imported, predict_integer
 from zerodrift.export.fine_tune import FOLDER, LAYERS, load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.float_network import FloatNetwork

@@ -35,8 +35,8 @@ from zerodrift.export.onnx_reader import (
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.verify.chip_check import check_chip
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 

@@ -11,7 +11,7 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.lowpass import IntegerLowpass
-from zerodrift.verify.onnx_check import check_onnx
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 

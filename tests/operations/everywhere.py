@@ -22,8 +22,8 @@ from zerodrift.operations.backend import evaluate
 from zerodrift.operations.graph import Node
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.chip_check import check_chip
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 from zerodrift_proof import OPEN, list_shown, read_model

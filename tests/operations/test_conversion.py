@@ -9,13 +9,13 @@ from tests.effects_on_chip.random_graphs import describe_graph, draw_codes
 from tests.operations.everywhere import PERIOD_S, derive_again
 from tests.oracle.machine import Oracle
 
-from zerodrift.base.conversion_config import ConversionConfig, DividerConfig
+from zerodrift.base.column_config import ConversionConfig, DividerConfig
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.raw_codes import RawCover, RawRange, cover_range, find_code, find_range
-from zerodrift.export.conversions import design_conversion
+from zerodrift.export.channels import design_conversion
 from zerodrift.export.encoding import encode_channel, round_channel
 from zerodrift.export.integer_model import (
     FLAG_NO_READING,
@@ -30,8 +30,8 @@ from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.verify.chip_check import check_chip
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_golden, draw_sequences
 
@@ -261,7 +261,7 @@ def test_a_table_with_too_many_bends_is_refused() -> None:
     ],
 )
 def test_a_table_that_no_quantizer_made_is_refused(change: dict[str, object]) -> None:
-    from zerodrift.export.model_checks import check_model
+    from zerodrift.export.model_files import check_model
 
     model = make_model("ntc")
     by = replace(make_conversion("ntc"), **change)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from tests.prove.models import prove
 
 from zerodrift.base.errors import CheckError, NoRuleError
 from zerodrift.codegen.generate import generate
-from zerodrift.export.quantize_layer_norm import quantize_layer_norm
+from zerodrift.export.quantize_layers import quantize_layer_norm
 from zerodrift.operations.errors import Known
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.layer_norm import (

@@ -10,11 +10,11 @@ from tests.effects_on_chip.random_graphs import describe_graph, draw_codes
 from tests.operations.everywhere import PERIOD_S, derive_again
 from tests.oracle.machine import Oracle
 
-from zerodrift.base.conversion_config import ConversionConfig, DividerConfig, sum_formula
+from zerodrift.base.column_config import ConversionConfig, DividerConfig, sum_formula
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.dataset.conversions import convert
+from zerodrift.dataset.conversions import convert, emf
 from zerodrift.dataset.raw_codes import (
     SUM_LIMITS,
     RawRange,
@@ -22,8 +22,7 @@ from zerodrift.dataset.raw_codes import (
     cover_range,
     find_range,
 )
-from zerodrift.dataset.thermocouples import emf
-from zerodrift.export.conversions import JunctionCodes, design_conversion
+from zerodrift.export.channels import JunctionCodes, design_conversion
 from zerodrift.export.encoding import encode_channel
 from zerodrift.export.integer_model import FLAG_NO_READING, Channel, IntegerModel
 from zerodrift.export.model_files import load_model
@@ -32,8 +31,8 @@ from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.verify.chip_check import check_chip
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_golden, draw_sequences
 
@@ -197,7 +196,7 @@ def test_codes_of_temperatures_are_the_nearest_for_the_junction_they_were_taken_
 
 
 def test_a_junction_that_no_quantizer_made_is_refused() -> None:
-    from zerodrift.export.model_checks import check_model
+    from zerodrift.export.model_files import check_model
 
     model = make_model("K")
     by = model.channels[0].conversion

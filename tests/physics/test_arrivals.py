@@ -13,8 +13,7 @@ from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_terms, flat_weights
-from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.model_record import ModelRecord
+from zerodrift.physics.model import ModelRecord, PhysicalModel
 from zerodrift.physics.search import search
 from zerodrift.physics.signals import plan_signals
 from zerodrift.physics.terms import start_term

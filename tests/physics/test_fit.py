@@ -21,8 +21,7 @@ from zerodrift.operations.backend import evaluate
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit, flat_weights
-from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.model_record import ModelRecord
+from zerodrift.physics.model import ModelRecord, PhysicalModel
 from zerodrift.physics.search import search
 from zerodrift.physics.signals import graph_inputs, plan_signals, read_signals
 from zerodrift.physics.summary import describe_coefficients

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zerodrift.diagnosis.noise import measure_noise
-from zerodrift.physics.octaves import MEANS, cut_octaves
+from zerodrift.physics.reduction import MEANS, cut_octaves
 
 
 @given(st.lists(st.integers(1, 60), min_size=1, max_size=4))
@@ -73,12 +73,12 @@ def test_flicker_grows_slower_than_a_random_walk():
 
 
 def test_octaves_of_known_lengths_are_kept_and_cannot_be_written():
-    from zerodrift.physics import octaves
+    from zerodrift.physics import reduction
 
-    kept = octaves.cut_octaves(np.array([300, 301]), 2)
-    assert octaves.cut_octaves(np.array([300, 301]), 2) is kept
-    assert octaves.cut_octaves(np.array([300, 301]), 1) is not kept
-    fresh = octaves._cut((300, 301), 2)
+    kept = reduction.cut_octaves(np.array([300, 301]), 2)
+    assert reduction.cut_octaves(np.array([300, 301]), 2) is kept
+    assert reduction.cut_octaves(np.array([300, 301]), 1) is not kept
+    fresh = reduction._cut((300, 301), 2)
     for name in ("start", "middle", "stop", "left", "right", "octave", "piece"):
         assert np.array_equal(getattr(kept, name), getattr(fresh, name))
     with pytest.raises(ValueError, match="read-only"):
@@ -86,7 +86,7 @@ def test_octaves_of_known_lengths_are_kept_and_cannot_be_written():
 
 
 def test_octaves_of_long_runs_are_not_kept():
-    from zerodrift.physics import octaves
+    from zerodrift.physics import reduction
 
-    long = np.array([octaves.MOST_KEPT + 1])
-    assert octaves.cut_octaves(long, 1) is not octaves.cut_octaves(long, 1)
+    long = np.array([reduction.MOST_KEPT + 1])
+    assert reduction.cut_octaves(long, 1) is not reduction.cut_octaves(long, 1)

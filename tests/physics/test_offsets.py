@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.physics.conftest import SLOPE, linear, make_dataset
 
+from zerodrift.diagnosis.case import lay_out_runs
 from zerodrift.diagnosis.changes import list_extensions
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.diagnosis.offsets import lay_out_runs
 from zerodrift.diagnosis.revision import try_extension
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue

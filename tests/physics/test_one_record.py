@@ -7,7 +7,7 @@ from benchmarks.bench_slow import THERMAL, draw_record
 from zerodrift.base.config import EffectConfig
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.evidence import Errors, compare_likelihoods
-from zerodrift.physics.octaves import MEANS
+from zerodrift.physics.reduction import MEANS
 
 TEMPCO = [EffectConfig("zero_tempco")]
 

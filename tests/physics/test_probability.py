@@ -7,7 +7,7 @@ import pytest
 from benchmarks.study_probability import Entry, fit_map
 
 from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
-from zerodrift.diagnosis.probability import (
+from zerodrift.diagnosis.diagnosis_report import (
     CANDIDATE,
     ELSE,
     NOTHING,

@@ -9,9 +9,15 @@ from zerodrift.physics import search as module
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import flat_weights
-from zerodrift.physics.projection import list_coordinates, set_coordinates
-from zerodrift.physics.search import assess, assess_all, grid, search
-from zerodrift.physics.shortlist import find_promising
+from zerodrift.physics.search import (
+    assess,
+    assess_all,
+    find_promising,
+    grid,
+    list_coordinates,
+    search,
+    set_coordinates,
+)
 from zerodrift.physics.signals import plan_signals
 from zerodrift.physics.terms import start_term
 

@@ -11,21 +11,30 @@ from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.evidence import SURE_NATS
 from zerodrift.diagnosis.examination import LIKE_BEST, LIKE_BEST_UNITS
 from zerodrift.diagnosis.rules import SURE_UNITS
-from zerodrift.discovery.closer import choose_forms, expect_disguise, judge_closely, look_closer
-from zerodrift.discovery.criterion import Judge, Told
-from zerodrift.discovery.likely import (
+from zerodrift.discovery.criterion import (
+    Judge,
+    Told,
     expect_pairs,
     expect_verdicts,
     rise,
     tell_disguised,
     tell_rivals_apart,
 )
-from zerodrift.discovery.plan import NothingLeftError, Question, plan_experiment, refuse_alike
+from zerodrift.discovery.plan import (
+    NothingLeftError,
+    Question,
+    choose_forms,
+    expect_disguise,
+    judge_closely,
+    look_closer,
+    plan_experiment,
+    refuse_alike,
+)
 from zerodrift.discovery.programme import Log, Setting
 from zerodrift.discovery.search import list_designs
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.effect import FEWEST_RUNS
-from zerodrift.physics.octaves import MEANS, cut_octaves
+from zerodrift.physics.reduction import MEANS, cut_octaves
 
 CATALOGUE = load_catalogue()
 

@@ -15,9 +15,7 @@ from zerodrift.discovery.contenders import Scene, Truth, spread_typical
 from zerodrift.discovery.criterion import Judge
 from zerodrift.discovery.limits import resolve_limits
 from zerodrift.discovery.plan import Question
-from zerodrift.discovery.precise import plan_precisely
-from zerodrift.discovery.precise_plan import COVERED, measure_cover
-from zerodrift.discovery.precision import measure_precision
+from zerodrift.discovery.precise import COVERED, measure_cover, measure_precision, plan_precisely
 from zerodrift.discovery.programme import Log, Setting
 from zerodrift.discovery.summary import explain_plan, summarise_precise
 from zerodrift.physics.catalogue import load_catalogue

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tests.plan.projects import read
-from zerodrift.discovery.files import list_protocols
 from zerodrift.discovery.limits import resolve_limits
 from zerodrift.discovery.patterns import FEW, Space, choose_spaces
 from zerodrift.discovery.programme import (
@@ -16,6 +15,7 @@ from zerodrift.discovery.programme import (
     list_set_points,
 )
 from zerodrift.discovery.search import list_designs
+from zerodrift.discovery.summary import list_protocols
 from zerodrift_lab.twin.six_axis.heat import draw_network
 from zerodrift_lab.twin.six_axis.protocol import parse_protocol
 from zerodrift_lab.twin.six_axis.timeline import draw_timeline

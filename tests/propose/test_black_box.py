@@ -8,9 +8,7 @@ from benchmarks.formula_cases import simulate
 
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
-from zerodrift.train.black_box.bank import learn_bank
-from zerodrift.train.black_box.compare import try_black_boxes
-from zerodrift.train.black_box.signals import pose
+from zerodrift.train.black_box.compare import learn_bank, pose, try_black_boxes
 
 
 def open_case(kind, runs=5, seed=3):
@@ -56,7 +54,7 @@ def test_a_run_teaches_nothing_about_itself():
 def test_long_logs_are_learnt_from_block_means(monkeypatch):
     _, _, lesson = open_case("play(humidity)")
     whole = measure(lesson, learn_bank(lesson).added)
-    monkeypatch.setattr("zerodrift.train.black_box.bank.MOST_ROWS", 750)
+    monkeypatch.setattr("zerodrift.train.black_box.compare.MOST_ROWS", 750)
     found = learn_bank(lesson).added
     assert all(one.shape == (1500, 2) for one in found.values())
     assert (measure(lesson, found) < 1.3 * whole).all()

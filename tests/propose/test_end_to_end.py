@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.formula_cases import TOML, simulate
 
-from zerodrift.diagnosis.formula.effect_file import render_file
-from zerodrift.diagnosis.formula.proposal import propose_formula
+from zerodrift.diagnosis.formula.proposal import propose_formula, render_file
 from zerodrift.physics.catalogue import load_catalogue
 
 

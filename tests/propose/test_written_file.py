@@ -1,7 +1,7 @@
 """`propose --write`: a file is written once, may be asked for again, and is never replaced."""
 
 from tests.faults.projects import prepare_formula
-from zerodrift.diagnosis.formula.effect_file import is_proposed
+from zerodrift.diagnosis.formula.proposal import is_proposed
 
 
 def test_the_same_command_given_again_finds_its_own_file(tmp_path, zerodrift):

@@ -14,7 +14,7 @@ from unicorn.arm_const import (
     UC_ARM_REG_XPSR,
 )
 
-from zerodrift.c_runtime.chip import make_chip
+from zerodrift.c_runtime.emulator import make_chip
 from zerodrift_proof.equality.kernels import compute_tanh
 from zerodrift_proof.equality.terms import Whole
 from zerodrift_proof.object.image import ElfSpan, Image

@@ -11,10 +11,10 @@ from tests.golden.vectors import load
 from tests.prove.models import as_read, prove
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
-from zerodrift.codegen.names import name_prefix
+from zerodrift.codegen.identifiers import name_prefix
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift_proof import is_proven
-from zerodrift_proof.equality import memory
+from zerodrift_proof.equality import machine
 from zerodrift_proof.equality.build import OPEN, TESTED, ShownPart
 from zerodrift_proof.equality.prove import show_kernels
 from zerodrift_proof.object.program import ProvenKernels
@@ -175,7 +175,7 @@ HEADER = {
 
 
 def test_a_self_test_without_an_end_is_not_proven(monkeypatch) -> None:
-    monkeypatch.setattr(memory, "MOST_STATEMENTS", 60_000)
+    monkeypatch.setattr(machine, "MOST_STATEMENTS", 60_000)
     model = load("ordinary").model
     texts = write(model)
     source = f"{name_prefix(model)}.c"

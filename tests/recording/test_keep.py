@@ -11,15 +11,15 @@ import polars as pl
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.recording import keep
-from zerodrift.recording.keep import Keeper, name_journal, recover
+from zerodrift.recording import recorder
+from zerodrift.recording.recorder import Keeper, name_journal, recover
 
 WRITER = """
 import itertools, sys
 from pathlib import Path
-from zerodrift.recording import keep
-keep.SYNC_S, keep.WHOLE_S, keep.SHARE = 0.01, 0.02, 0.0
-with keep.Keeper(Path(sys.argv[1])) as keeper:
+from zerodrift.recording import recorder
+recorder.SYNC_S, recorder.WHOLE_S, recorder.SHARE = 0.01, 0.02, 0.0
+with recorder.Keeper(Path(sys.argv[1])) as keeper:
     print("ready", flush=True)
     for number in itertools.count():
         keeper.add({"n": float(number), "half": number / 2})
@@ -84,13 +84,13 @@ def test_a_kill_between_the_file_and_the_journal_doubles_nothing(
     keeper = Keeper(path)
     for number in range(5):
         keeper.add({"n": float(number)})
-    real = keep.write_whole
+    real = recorder.write_whole
 
     def write_and_die(target: Path, content: bytes) -> None:
         real(target, content)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(keep, "write_whole", write_and_die)
+    monkeypatch.setattr(recorder, "write_whole", write_and_die)
     with pytest.raises(KeyboardInterrupt):
         keeper._write()
     monkeypatch.undo()

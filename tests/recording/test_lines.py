@@ -5,7 +5,7 @@ import math
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.recording.lines import LineError, LineReader
+from zerodrift.recording.sources import LineError, LineReader
 
 
 def read_all(text: str, *columns: str) -> list[dict[str, float]]:

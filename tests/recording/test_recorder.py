@@ -16,10 +16,9 @@ from click.testing import CliRunner, Result
 from zerodrift.base.errors import InputError
 from zerodrift.cli.main import cli
 from zerodrift.recording.coverage import Coverage, Wanted
-from zerodrift.recording.keep import Keeper
-from zerodrift.recording.recorder import Recording, RowRules, check_rules
+from zerodrift.recording.recorder import Keeper, Recording, RowRules, check_rules
 from zerodrift.recording.sources import Reading
-from zerodrift.recording.summary import explain_missing
+from zerodrift.recording.status import explain_missing
 
 TOML = """\
 [sensor]

@@ -16,10 +16,10 @@ from click.testing import CliRunner
 from tests.recording.test_recorder import TOML, write_device
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.toml_logs import add_log
+from zerodrift.base.toml_edit import add_log
 from zerodrift.cli.main import cli
 from zerodrift.recording.coverage import Coverage, Wanted
-from zerodrift.recording.keep import name_journal
+from zerodrift.recording.recorder import name_journal
 from zerodrift.recording.status import (
     CUT_OFF,
     ENDED,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.loop.conftest import Project, write_project
 
-from zerodrift.diagnosis.comparison_summary import ComparisonSummary, OutputSummary, WorstSegment
+from zerodrift.diagnosis.summary import ComparisonSummary, OutputSummary, WorstSegment
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.findings import Findings, Provenance, Trace
 from zerodrift.tasks.project import ProjectFolder

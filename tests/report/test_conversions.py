@@ -2,8 +2,8 @@
 
 from tests.operations.test_thermocouple import make_model
 
-from zerodrift.report.conversions import tabulate_conversions
-from zerodrift.verify.conversions_told import summarise_conversions
+from zerodrift.report.tables import tabulate_conversions
+from zerodrift.verify.errors_told import summarise_conversions
 from zerodrift.verify.summary import ErrorCauses, ProvenError
 
 

@@ -30,8 +30,13 @@ from zerodrift.base.config import parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.units import PLAIN_UNITS, UNITS
 from zerodrift.report.datasheet import UNCERTAINTY, DatasheetRow, measure_datasheet
-from zerodrift.report.dcc import RELATIVE, CertifiedSensor, describe_sensor, render_certificate
-from zerodrift.report.dsi_units import write_unit
+from zerodrift.report.dcc import (
+    RELATIVE,
+    CertifiedSensor,
+    describe_sensor,
+    render_certificate,
+    write_unit,
+)
 
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 SCHEMAS = os.environ.get("ZERODRIFT_DCC_SCHEMAS")

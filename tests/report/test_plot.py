@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.report.conftest import make_comparison, make_findings, make_trace
 
-from zerodrift.diagnosis.comparison_summary import WorstSegment
 from zerodrift.diagnosis.drivers import DriftDriver
 from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.summary import WorstSegment
 from zerodrift.report.cause import (
     PANES,
     CauseView,
@@ -22,7 +22,7 @@ from zerodrift.report.cause import (
 )
 from zerodrift.report.cause_place import lay_out_cause
 from zerodrift.report.pictures import draw_stairs
-from zerodrift.report.plot import (
+from zerodrift.report.svg import (
     INKS,
     AxisScale,
     Curve,
@@ -30,8 +30,9 @@ from zerodrift.report.plot import (
     Picture,
     list_log_ticks,
     list_round_ticks,
+    render_svg,
+    write_style,
 )
-from zerodrift.report.svg import render_svg, write_style
 from zerodrift.report.tables import tabulate_worst
 from zerodrift.report.window import Window, choose_clock
 from zerodrift.workbench.first_look import HEADING, TALL, FirstLook, LoggedLine, draw_waiting

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
-from zerodrift.diagnosis.formula.curve import FormulaCurve
+from zerodrift.base.records import render_sealed, to_dict
+from zerodrift.diagnosis.formula.proposal import FormulaCurve
 from zerodrift.report.proposal import MOST_OUTPUTS, ProposedFormula, draw_remainder
 from zerodrift.report.report import render_report
 from zerodrift.report.svg import render_svg

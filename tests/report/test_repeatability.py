@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from tests.report.conftest import make_comparison, make_trace
 
-from zerodrift.report.datasheet import measure_datasheet
-from zerodrift.report.repeatability import measure_repeatability
+from zerodrift.report.datasheet import measure_datasheet, measure_repeatability
 from zerodrift.report.tables import tabulate_datasheet
 
 FULL_SCALE = 100.0

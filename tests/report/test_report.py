@@ -14,19 +14,17 @@ import numpy as np
 import pytest
 from tests.report.conftest import make_comparison
 
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
-from zerodrift.diagnosis.comparison_summary import RunSummary
+from zerodrift.base.records import render_sealed, to_dict
 from zerodrift.diagnosis.run_spread import measure_spread
-from zerodrift.report.annex import list_annex
+from zerodrift.diagnosis.summary import RunSummary
 from zerodrift.report.findings import (
     ARRAYS,
     load_findings,
     measure_rate,
     save_findings,
 )
-from zerodrift.report.parts import MOST_PARTS, list_parts
-from zerodrift.report.report import MOST_WORST, list_pictures, render_report
+from zerodrift.report.report import MOST_WORST, list_annex, list_pictures, render_report
+from zerodrift.report.tables import MOST_PARTS, list_parts
 from zerodrift.tasks.built import read_certificate
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.report import summarise_survey

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zerodrift.report.thin import pick_rows, pick_spread
+from zerodrift.report.window import pick_rows, pick_spread
 
 
 @given(st.integers(1, 5000), st.integers(4, 400), st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))

@@ -6,12 +6,15 @@ import pytest
 
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.data_notes import DataNote
-from zerodrift.diagnosis.diagnosis import CandidateReport, Diagnosis
-from zerodrift.diagnosis.explained import STEP
+from zerodrift.diagnosis.diagnosis import STEP, CandidateReport, Diagnosis
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.report.sentences import explain_verdict
+from zerodrift.report.sentences import (
+    explain_candidate,
+    explain_standing,
+    explain_verdict,
+    write_headline,
+)
 from zerodrift.report.tables import tabulate_candidates
-from zerodrift.report.verdict import explain_candidate, explain_standing, write_headline
 
 TITLES = {"creep": "creep and creep recovery"}
 

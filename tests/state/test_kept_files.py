@@ -19,7 +19,7 @@ from tests.surroundings.conftest import REST, write_project
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import REMAINDER
 from zerodrift.base.lock import STATE, WAIT_VARIABLE, lock_project
-from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.base.records import read_sealed, render_sealed
 from zerodrift.diagnosis.history import load_history
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 

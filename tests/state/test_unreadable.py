@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import Result
 from tests.verify.conftest import write_firmware
-from zerodrift.base.ownership import list_own
+from zerodrift.base.files import list_own
 from zerodrift_proof.certificate.check import check_certificate
 
 Command = Callable[..., Result]

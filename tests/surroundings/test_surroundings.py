@@ -16,8 +16,8 @@ from tests.surroundings.conftest import (
     write_project,
 )
 
-from zerodrift.base.scratch import make_scratch
-from zerodrift.cli.surroundings import is_out_of_memory
+from zerodrift.base.lock import make_scratch
+from zerodrift.cli.main import is_out_of_memory
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX only")
 ODD_NAMES = ["a%b", "tab\tb", "new\nline", 'quote"b', "back\\slash", "a'b", "dollar$b", "ä b"]

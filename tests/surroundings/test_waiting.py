@@ -14,8 +14,7 @@ from tests.surroundings.conftest import Command, Run, assert_one_message, write_
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import hold_project, read_together, settle_project
-from zerodrift.base.lock import REMOVAL_S, find_state, lock_project, take_turns
-from zerodrift.base.scratch import make_scratch
+from zerodrift.base.lock import REMOVAL_S, find_state, lock_project, make_scratch, take_turns
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import generate

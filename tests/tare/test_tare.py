@@ -29,10 +29,10 @@ from zerodrift.export.integer_model import (
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
-from zerodrift.verify.behaviour import check_behaviour
 from zerodrift.verify.certificate import certify, certify_design
+from zerodrift.verify.firmware_check import check_onnx
+from zerodrift.verify.folder_check import check_behaviour
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.replay import replay
 from zerodrift.verify.vectors import draw_sequences

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.lag_bank.data import DEGREE, BankData, raise_all
-from zerodrift.train.lag_bank.projection import solve_ridge
-from zerodrift.train.lag_bank.search import LeftOutJudge, Rows, choose_bank
+from zerodrift.train.lag_bank.search import LeftOutJudge, Rows, choose_bank, solve_ridge
 
 Array = NDArray[np.float64]
 

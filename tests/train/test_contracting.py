@@ -15,8 +15,9 @@ from tests.train.test_lstm import write_lagging_logs
 from zerodrift.base.config import NetworkConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.cli.main import cli
-from zerodrift.export.quantize_lstm import quantize_lstm
+from zerodrift.export.quantize_layers import quantize_lstm
 from zerodrift.operations.lstm.cell import FloatLstm
+from zerodrift.train.attempts import Problem, mark_problems
 from zerodrift.train.contraction import (
     FINE_GRID,
     GRID,
@@ -27,13 +28,13 @@ from zerodrift.train.contraction import (
     SPREAD,
     contract,
     contract_lstm,
+    limit_head,
     measure_reach,
+    measure_swing,
     trim_weights,
 )
-from zerodrift.train.engine import Problem, Result, train_networks
-from zerodrift.train.head_limit import limit_head, measure_swing
+from zerodrift.train.engine import Result, train_networks
 from zerodrift.train.networks import build_network
-from zerodrift.train.standings import mark_problems
 
 NETWORK = '\n[network]\nkind = "gru"\nhidden = 4\nepochs = 60\nstarts = 1\ncontracting = true\n'
 

@@ -11,7 +11,8 @@ from tests.train.one_at_a_time import answer, rest, train_alone
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError
 from zerodrift.train import engine
-from zerodrift.train.engine import EpochProgress, Problem, Result, train_networks
+from zerodrift.train.attempts import Problem
+from zerodrift.train.engine import EpochProgress, Result, train_networks
 from zerodrift.train.networks import GruNetwork, build_network
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Settings

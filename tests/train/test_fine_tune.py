@@ -16,8 +16,7 @@ from zerodrift.export.fine_tune import build_integer_network
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
-from zerodrift.export.quantize_gru import quantize_gru
-from zerodrift.export.quantize_layers import quantize_layers
+from zerodrift.export.quantize_layers import quantize_gru, quantize_layers
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru

@@ -19,7 +19,7 @@ from zerodrift.train.lag_bank.fit import (
     choose_sources,
     fit_lag_bank,
 )
-from zerodrift.train.lag_bank.projection import Columns, ProjectionProblem, _evaluate
+from zerodrift.train.lag_bank.search import Columns, ProjectionProblem, _evaluate
 
 Array = NDArray[np.float64]
 

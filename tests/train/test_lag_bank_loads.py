@@ -10,8 +10,15 @@ from tests.train.test_lag_bank import FULL_SCALE, NOISE, OUTPUTS, UNITS, draw_te
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.fit import fit
-from zerodrift.train.lag_bank.fit import fit_lag_bank, prepare
-from zerodrift.train.lag_bank.loads import LoadPart, difference, fit_loads, list_pairs, see_loads
+from zerodrift.train.lag_bank.fit import (
+    LoadPart,
+    difference,
+    fit_lag_bank,
+    fit_loads,
+    list_pairs,
+    prepare,
+    see_loads,
+)
 from zerodrift.train.lag_bank.model import POWERS, list_load_terms
 
 Array = NDArray[np.float64]

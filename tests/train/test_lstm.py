@@ -13,13 +13,12 @@ from tests.onnx.test_firmware_onnx import TOML
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.cli.main import cli
-from zerodrift.export.layered_network import FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayeredNetwork
 from zerodrift.export.model_files import load_model
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.operations.lstm import IntegerLstmLayer
 from zerodrift.train.networks import LstmNetwork, build_network
-from zerodrift.train.onnx_export import build_lstm_onnx
-from zerodrift.train.onnx_network import OnnxNetwork
+from zerodrift.train.onnx_export import OnnxNetwork, build_lstm_onnx
 
 HIDDEN = 5
 

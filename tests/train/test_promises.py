@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from zerodrift.base.config import NetworkConfig
 from zerodrift.export.onnx_reader import read_network_bytes
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.train.engine import Problem, Result, train_networks
+from zerodrift.train.attempts import Problem
+from zerodrift.train.engine import Result, train_networks
 from zerodrift.train.networks import build_network
 from zerodrift.train.onnx_export import build_onnx
 from zerodrift.train.sequences import Sequence32

@@ -14,14 +14,14 @@ from zerodrift.train.front_end import TEMPERATURE
 from zerodrift.train.lag_bank.data import DEGREE, BankData
 from zerodrift.train.lag_bank.model import LagBank, LagBankRecord
 from zerodrift.train.lag_bank.search import Bank, LeftOutJudge, Rows
-from zerodrift.train.lag_bank.unit_choice import (
+from zerodrift.train.lag_bank.units import (
     FEW_UNITS,
     SPREAD_LAGS,
     choose_units,
     list_trials,
+    measure_left_out,
     spread_lags,
 )
-from zerodrift.train.lag_bank.units import measure_left_out
 
 Array = NDArray[np.float64]
 

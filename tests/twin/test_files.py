@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import zerodrift_lab.twin as twin
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import render_sealed
 from zerodrift.dataset.load import load_dataset
 from zerodrift_lab.commands.twin import command, split_list
 from zerodrift_lab.twin import (

@@ -14,9 +14,9 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
-from zerodrift.verify.expected import expect
+from zerodrift.verify.firmware_check import check_onnx
 from zerodrift.verify.host_check import check_host
-from zerodrift.verify.onnx_check import check_onnx
+from zerodrift.verify.mismatch import expect
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_golden, draw_sequences, draw_starts
 

@@ -14,8 +14,8 @@ from zerodrift.operations.lowpass_after import (
     round_rate,
 )
 from zerodrift.operations.times import count_bits, exceeds_rate, hold_time
-from zerodrift_proof.equality.opaque import STRAIGHT
-from zerodrift_proof.equality.opaque import find_shares as find_said
+from zerodrift_proof.equality.rules import STRAIGHT
+from zerodrift_proof.equality.rules import find_shares as find_said
 
 TAUS_US = (1.0, 999.0, 1e6, 37.3e6, 3.6e10, 1e15)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.mutants.judge import identify_files, replace_file
 
-from zerodrift.verify.folder_certificate import (
+from zerodrift.verify.replay import (
     CERTIFICATE,
     FolderCertificate,
     check_folder_certificate,

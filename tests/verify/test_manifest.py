@@ -11,8 +11,7 @@ from tests.verify.conftest import write_firmware
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import render_sealed, to_dict
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.tasks.built import read_firmware
 from zerodrift.verify.manifest import FILE_NAME, ManifestFinding, check_manifest, load_manifest

@@ -19,7 +19,7 @@ from tests.golden.vectors import load
 from tests.verify.conftest import MODEL
 
 from zerodrift.base.errors import ZerodriftError
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import render_sealed
 from zerodrift.cli.main import cli
 from zerodrift.export.golden import load_golden
 from zerodrift.verify import folder_check, ways

@@ -10,9 +10,9 @@ from tests.report.test_verdict import told
 
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.changes import AddCommand
-from zerodrift.diagnosis.explained import ExplainedDiagnosis
+from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
 from zerodrift.diagnosis.thermometers import OtherThermometer
-from zerodrift.workbench import actions
+from zerodrift.workbench import server
 
 SETTINGS = ("--set", "signal=body_temperature", "--set", "x=a b")
 DIAGNOSED = ExplainedDiagnosis(
@@ -38,37 +38,37 @@ def place(tmp_path):
 
 
 def test_add_takes_the_form_that_the_diagnosis_found(place):
-    actions.press(place, "add", {"effect": "zero_tempco"})
+    server.press(place, "add", {"effect": "zero_tempco"})
     expected = ["add", "zero_tempco", "--json", "--hold", "order=2"]
     assert place.ran == [("add", "Adding zero_tempco", expected)]
 
 
 def test_add_of_a_look_alike_takes_its_name_alone(place):
-    actions.press(place, "add", {"effect": "dark_current", "present": "creep", "force": True})
+    server.press(place, "add", {"effect": "dark_current", "present": "creep", "force": True})
     assert place.ran == [
         ("add", "Adding dark_current", ["add", "dark_current", "--json", "--force"])
     ]
 
 
 def test_add_after_another_thermometer(place):
-    actions.press(place, "add", {"effect": "thermal_lag"})
+    server.press(place, "add", {"effect": "thermal_lag"})
     assert place.ran[0][2] == ["add", "thermal_lag", "--json", *SETTINGS]
 
 
 def test_button_that_is_none_is_refused(place):
     with pytest.raises(InputError, match="'format': is no button of the page; expected one of add"):
-        actions.press(place, "format", {})
+        server.press(place, "format", {})
     assert place.ran == []
 
 
 @pytest.mark.parametrize("button", ["add-chosen", "remove"])
 def test_nothing_chosen_is_told(place, button):
-    actions.press(place, button, {"effect": "", "present": None})
+    server.press(place, button, {"effect": "", "present": None})
     assert place.ran[0].startswith("Choose")
 
 
 def test_remove_of_an_effect_that_follows_another_thermometer(place):
-    actions.press(place, "remove", {"present": "zero_tempco[body_temperature]"})
+    server.press(place, "remove", {"present": "zero_tempco[body_temperature]"})
     told = ["remove", "zero_tempco", "--json", "--set", "signal=body_temperature"]
     assert place.ran == [("remove", "Removing zero_tempco[body_temperature]", told)]
 
@@ -76,7 +76,7 @@ def test_remove_of_an_effect_that_follows_another_thermometer(place):
 def test_logs_of_a_new_project_are_named_in_full(place):
     """A name that looks like an option is none, and no file of the same name elsewhere is taken."""
     (place.directory / "-x.csv").write_text("time_s\n0\n")
-    actions.press(place, "begin", {})
+    server.press(place, "begin", {})
     assert place.ran[0][2] == ["init", str(place.directory / "-x.csv"), "--json"]
 
 
@@ -85,7 +85,7 @@ def test_logs_of_a_new_project_are_named_in_full(place):
 )
 def test_step_of_the_history_is_gone_to_by_its_number(place, step, number):
     place.restore = place.ran.append
-    actions.press(place, "restore", {"step": step})
+    server.press(place, "restore", {"step": step})
     assert place.ran == [number]
 
 
@@ -96,12 +96,12 @@ def test_model_is_applied_to_test_logs_or_else_to_those_it_learnt_from(place):
     files = [source("a.csv", "train"), source("b.csv", "test"), source("zerodrift.toml", "x")]
     for left, log in ((files, "b.csv"), (files[:1], "a.csv")):
         place.findings.provenance = SimpleNamespace(files=left)
-        actions.press(place, "apply", {})
+        server.press(place, "apply", {})
         assert place.ran.pop()[2][:2] == ["apply", str(place.directory / log)]
 
 
 def test_plan_writes_its_programme_into_build(place):
-    actions.press(place, "plan", {})
+    server.press(place, "plan", {})
     ((name, _, arguments),) = place.ran
     assert name == "plan" and arguments[:4] == ["plan", "--json", "--budget", "30"]
     assert arguments[4:] == ["--out", str(place.directory / "build" / "plan.csv")]

@@ -14,8 +14,8 @@ from tests.workbench.conftest import serve
 from tests.workbench.test_security import ask
 
 from zerodrift.codegen.snippet import write_snippet
-from zerodrift.workbench.address import PageAddress, find_address, keep_address
-from zerodrift.workbench.packing import pack_files
+from zerodrift.workbench.early import PageAddress, find_address, keep_address
+from zerodrift.workbench.server import pack_files
 
 
 @pytest.fixture(autouse=True)

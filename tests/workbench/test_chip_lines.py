@@ -11,7 +11,7 @@ from tests.workbench.test_security import ask
 from tests.workbench.test_workplace import settle
 
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.resample import plan_stretches
+from zerodrift.dataset.sampling import plan_stretches
 from zerodrift.export.integer_model import FLAG_NO_READING
 from zerodrift.workbench.chip import LiveChip
 

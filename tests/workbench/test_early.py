@@ -14,10 +14,9 @@ import pytest
 from tests.workbench.pages import DRAWN, expect
 
 from zerodrift.base.errors import InputError
-from zerodrift.workbench.early import EarlyPage, tell_project
+from zerodrift.workbench.early import READING, EarlyPage, tell_project
 from zerodrift.workbench.hold import hold_directory, release_directory
 from zerodrift.workbench.server import Workbench
-from zerodrift.workbench.skeleton import READING
 
 LATER = ("scipy.stats", "scipy.signal", "scipy.ndimage", "scipy.optimize", "torch")
 """What takes long to load, and no page needs to begin."""

@@ -10,7 +10,7 @@ from tests.workbench.conftest import serve
 from tests.workbench.test_security import ask
 from tests.workbench.test_workplace import settle
 
-from zerodrift.workbench.first import lay_out_first
+from zerodrift.workbench.app import lay_out_first
 
 
 def test_page_of_a_known_project_comes_with_verdict_choices_and_chart(project):

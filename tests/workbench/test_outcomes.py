@@ -10,7 +10,7 @@ from tests.plan.projects import write_blank
 from tests.report.conftest import make_findings
 from tests.verify.test_manifest import make_summary
 
-from zerodrift.diagnosis.formula.curve import FormulaCurve
+from zerodrift.diagnosis.formula.proposal import FormulaCurve
 from zerodrift.report.results import (
     PlanResult,
     ProposedBlackBox,
@@ -19,7 +19,7 @@ from zerodrift.report.results import (
     read_result,
 )
 from zerodrift.verify.summary import LogsRefused, Statement
-from zerodrift.workbench.outcomes import show_firmware, show_outcome
+from zerodrift.workbench.views import show_firmware, show_outcome
 
 BOX = ProposedBlackBox("lag bank", "T", {"Fz": 0.2}, {"Fz": 0.1}, 2.0, 1.0, False, "falls")
 FORMULA = {

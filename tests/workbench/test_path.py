@@ -8,12 +8,11 @@ from tests.report.conftest import make_findings
 from tests.report.test_verdict import rate, told, wrong
 
 from zerodrift.diagnosis.changes import AddCommand
-from zerodrift.diagnosis.explained import ExplainedDiagnosis
-from zerodrift.diagnosis.history import EffectSettings, Step
+from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
+from zerodrift.diagnosis.history import EffectSettings, Step, Timeline, find_timeline
 from zerodrift.diagnosis.thermometers import OtherThermometer
-from zerodrift.diagnosis.timeline import Timeline, find_timeline
 from zerodrift.workbench.path import ProjectStanding, find_path
-from zerodrift.workbench.way import find_job
+from zerodrift.workbench.views import find_job
 
 
 def stand(diagnosis=None, thermometers=(), firmware=None, **changes):

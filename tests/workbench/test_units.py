@@ -10,8 +10,7 @@ from tests.workbench.conftest import serve
 from tests.workbench.pages import expect, open_page, wait_for_job
 
 from zerodrift.cli.main import cli
-from zerodrift.field.registry import open_registry
-from zerodrift.field.registry_file import FILE_NAME
+from zerodrift.field.registry import FILE_NAME, open_registry
 from zerodrift.workbench.units import list_serials, show_history, show_units
 from zerodrift.workbench.watch import UnitsWatch
 

@@ -12,11 +12,11 @@ from tests.report.conftest import make_findings, make_trace
 from tests.report.test_verdict import rate, told
 
 from zerodrift.diagnosis.data_notes import DataNote
-from zerodrift.diagnosis.explained import HEADLINE, ExplainedDiagnosis, Sentence
+from zerodrift.diagnosis.diagnosis import HEADLINE, ExplainedDiagnosis, Sentence
 from zerodrift.report.window import Window
 from zerodrift.workbench.chart import MOVES, choose_window, move_window
+from zerodrift.workbench.panels import show_candidates, show_verdict
 from zerodrift.workbench.state import PictureWish
-from zerodrift.workbench.verdicts import show_candidates, show_verdict
 
 
 def find(diagnosis, thermometers=()):

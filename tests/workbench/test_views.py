@@ -11,12 +11,12 @@ import numpy as np
 from dash import no_update
 from tests.report.conftest import make_comparison, make_findings, make_trace
 
-from zerodrift.diagnosis.comparison_summary import WorstSegment
+from zerodrift.diagnosis.summary import WorstSegment
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import EffectSummary, ModelSummary
-from zerodrift.workbench.first import TOP
-from zerodrift.workbench.skeleton import READING, TILES, WAITING
+from zerodrift.workbench.app import TOP
+from zerodrift.workbench.early import READING, TILES, WAITING
 from zerodrift.workbench.state import JobState, PageState
 from zerodrift.workbench.views import list_choices, poll, show_chart, show_frame, show_top
 from zerodrift.workbench.watch import UnitsSeen

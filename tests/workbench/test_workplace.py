@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from zerodrift.base.records import from_json
-from zerodrift.diagnosis.timeline import find_timeline
+from zerodrift.diagnosis.history import find_timeline
 from zerodrift.report.results import AddResult
 from zerodrift.tasks.trust import claim
 from zerodrift.verify.summary import LogsRefused
-from zerodrift.workbench.outcomes import show_outcome
+from zerodrift.workbench.views import show_outcome
 from zerodrift.workbench.workplace import Workplace
 
 

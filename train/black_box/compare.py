@@ -1,17 +1,280 @@
 """How much more a black box learns than a formula, on runs left out."""
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.extras import TRAIN, is_there, tell_install
-from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import LEAVE_ONE_RUN_OUT, HeldOut, hold_out
 from zerodrift.diagnosis.judgement import Fitted, judge
 from zerodrift.diagnosis.run_errors import collect_errors
+from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.train.black_box.bank import learn_bank
-from zerodrift.train.black_box.signals import Lesson, pose
+from zerodrift.train.refits import split_parts
+
+# Inputs and targets of black boxes: every signal of the logs, and the model's residual.
+
+ELAPSED = "elapsed"
+"""The seconds of a stretch, as a signal."""
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """The residuals of a model in training runs, each to be predicted from the other runs."""
+
+    runs: tuple[Run, ...]
+    """Training runs; those of one group are left out together."""
+    rests: tuple[Array, ...]
+    """[n, K] per run: drift that the model, fitted to all of them, leaves."""
+    without: Mapping[str, Array]
+    """Run's name -> [n, K] drift that the model predicts when it is fitted to the others."""
+    names: tuple[str, ...]
+    """Signals that move: temperature, inputs, loads, time."""
+    signals: tuple[Array, ...]
+    """[n, S] per run, each of mean 0 and RMS 1 over all runs."""
+    tared: bool
+    """Each run has an offset of its own, which is not there to be learnt."""
+
+    def name_groups(self) -> tuple[str, ...]:
+        """Return the runs as the user knows them."""
+        return tuple(dict.fromkeys(run.group for run in self.runs))
+
+
+def pose(model: PhysicalModel, dataset: Dataset, tared: bool) -> Lesson:
+    """Return the residuals of a model in the training runs, with all signals.
+
+    The model's shared parameters come from all runs; its prediction for a run left out comes from
+    coefficients fitted to the others.
+
+    Args:
+        model: fitted to all training runs.
+        dataset: with two training runs or more, and no test runs.
+        tared: whether each run has an offset of its own.
+    """
+    runs = dataset.train
+    names, signals = _list_signals(runs, dataset.outputs)
+    return Lesson(
+        runs=runs,
+        rests=tuple(run.steady_drift - model.predict(run) for run in runs),
+        without=hold_out(model, dataset).predictions,
+        names=names,
+        signals=signals,
+        tared=tared,
+    )
+
+
+def _list_signals(
+    runs: Sequence[Run], outputs: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[Array, ...]]:
+    """Return the names and, per run, the values [n, S] of the signals that move."""
+
+    def read(run: Run) -> dict[str, Array]:
+        loads = {f"load_{name}": run.reference[:, k] for k, name in enumerate(outputs)}
+        time = run.sample_period_s * np.arange(len(run), dtype=np.float64)
+        return {"T": run.temperature_degC, **run.inputs, **loads, ELAPSED: time}
+
+    found = [read(run) for run in runs]
+    shared = [name for name in found[0] if all(name in signals for signals in found)]
+    columns = {name: np.concatenate([signals[name] for signals in found]) for name in shared}
+    moving = tuple(name for name, x in columns.items() if float(np.ptp(x)) > 0.0)
+    middle = {name: (columns[name].mean(), columns[name].std()) for name in moving}
+    values = tuple(
+        np.stack([(signals[n] - middle[n][0]) / middle[n][1] for n in moving], axis=1)
+        for signals in found
+    )
+    return moving, values
+
+
+def measure_unit(lesson: Lesson) -> Array:
+    """Return the RMS [K] of what is left; 1 where nothing is."""
+    unit = np.sqrt(np.mean(np.concatenate(lesson.rests) ** 2, axis=0))
+    unit[unit == 0.0] = 1.0
+    return np.asarray(unit)
+
+
+def average(x: Array, block: int) -> Array:
+    """Return the means [n // block, ...] of blocks of rows; what is left at the end is dropped."""
+    rows = len(x) // block
+    return np.asarray(x[: rows * block].reshape(rows, block, *x.shape[1:]).mean(axis=1))
+
+
+def choose_block(runs: Sequence[Run], most_rows: int) -> int:
+    """Return the rows of a block mean so that all runs together have no more than `most_rows`."""
+    block = -(-sum(len(run) for run in runs) // most_rows)
+    return max(1, min(block, min(len(run) for run in runs) // 8))
+
+
+# A lag bank over every signal: levels, lags and products, solved by least squares in seconds.
+#
+# Of each signal the bank has the level and its low-passes. Of one signal or of two it has all
+# products of two of these and their cubes; of all signals together the powers alone, for there
+# would be more products than rows. Which of these banks is taken, and how strongly its coefficients
+# are held towards zero, is decided for each part of the runs without that part.
+
+MOST_ROWS = 6_000
+"""Block means of all runs together that a bank is fitted to."""
+LAGS = 5
+"""Low-passes of each signal."""
+SHORTEST_STEPS = 5.0
+LONGEST_SHARE = 0.25
+"""The longest time constant, of the longest run."""
+RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+"""Of the mean square of a column."""
+KEPT = 1e-9
+"""Ridge of the constant, which is not held."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """One bank and ridge."""
+
+    picked: tuple[int, ...]
+    """Numbers of the signals; empty: all, without products."""
+    ridge: float
+    squares: Array
+    """[G, G] mean squared error of part h when it is left out together with part g."""
+
+
+@dataclass(frozen=True)
+class LearntBank:
+    """The predictions that banks add to a model in runs that they did not learn from."""
+
+    added: Mapping[str, Array]
+    """Run's name -> [n, K]."""
+    sees: str
+    """The signals of the bank that most runs are given."""
+
+
+def learn_bank(lesson: Lesson) -> LearntBank:
+    """Return what is learnt of each part of the runs from the others, choice of the bank included.
+
+    Args:
+        lesson: what to learn, from three runs or more.
+    """
+    parts = split_parts(lesson.runs)
+    owner = [next(g for g, part in enumerate(parts) if run.group in part) for run in lesson.runs]
+    views = [_view(signals, lesson) for signals in lesson.signals]
+    block = choose_block(lesson.runs, MOST_ROWS)
+    reduced = [[average(x, block) for x in run] for run in views]
+    unit = measure_unit(lesson)
+    targets = [average(rest / unit, block) for rest in lesson.rests]
+    trials: list[_Trial] = []
+    for picked in _list_banks(lesson.names):
+        solver = _Solver([_expand(run, picked) for run in reduced], targets, owner, lesson)
+        trials += [_Trial(picked, ridge, solver.measure_pairs(ridge)) for ridge in RIDGES]
+    squares = np.stack([trial.squares for trial in trials])
+    chosen = [trials[int(np.argmin(squares[:, g].sum(axis=1)))] for g in range(len(parts))]
+    added = {}
+    for g, trial in enumerate(chosen):
+        columns = [_expand(run, trial.picked) for run in reduced]
+        solver = _Solver(columns, targets, owner, lesson)
+        coefficients = solver.solve((g,), trial.ridge)
+        for run, view, part in zip(lesson.runs, views, owner, strict=True):
+            if part == g:
+                x = solver.scale(_expand(view, trial.picked))
+                added[run.name] = x @ coefficients * unit
+    most = max(chosen, key=lambda one: sum(other.picked == one.picked for other in chosen))
+    sees = " and ".join(lesson.names[s] for s in most.picked)
+    return LearntBank(added, sees or "all signals")
+
+
+def _view(signals: Array, lesson: Lesson) -> list[Array]:
+    """Return the level and lags [n, V] of each signal [n, S] of a run."""
+    period_s = lesson.runs[0].sample_period_s
+    longest_s = period_s * max(len(run) for run in lesson.runs)
+    taus_s = np.geomspace(SHORTEST_STEPS * period_s, LONGEST_SHARE * longest_s, LAGS)
+    return [
+        x[:, None]
+        if name == ELAPSED
+        else np.stack([x, *(lowpass(x, period_s, float(tau)) for tau in taus_s)], axis=1)
+        for name, x in zip(lesson.names, signals.T, strict=True)
+    ]
+
+
+def _list_banks(names: Sequence[str]) -> Iterator[tuple[int, ...]]:
+    yield ()
+    for count in (1, 2):
+        yield from itertools.combinations(range(len(names)), count)
+
+
+def _expand(views: Sequence[Array], picked: tuple[int, ...]) -> Array:
+    """Return the bank's columns [n, J], the constant first."""
+    z = np.concatenate([views[s] for s in picked] if picked else list(views), axis=1)
+    if picked:
+        first, second = np.triu_indices(z.shape[1])
+        squares = z[:, first] * z[:, second]
+    else:
+        squares = z**2
+    return np.concatenate([np.ones((len(z), 1)), z, squares, z**3], axis=1)
+
+
+class _Solver:
+    """Sums of products of a bank's columns, so that any part can be left out.
+
+    Args:
+        columns: [n, J] per run.
+        targets: [n, K] per run.
+        owner: part of each run.
+        lesson: whose runs they are.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Array],
+        targets: Sequence[Array],
+        owner: Sequence[int],
+        lesson: Lesson,
+    ) -> None:
+        together = np.concatenate(columns)
+        self._mean = together.mean(axis=0)
+        self._rms = np.maximum(together.std(axis=0), 1e-9)
+        self._mean[0], self._rms[0] = 0.0, 1.0
+        self._parts = []
+        for g in range(max(owner) + 1):
+            rows = []
+            for group in lesson.name_groups():
+                own = [
+                    np.concatenate([self.scale(x), y], axis=1)
+                    for x, y, run, part in zip(columns, targets, lesson.runs, owner, strict=True)
+                    if part == g and run.group == group
+                ]
+                if own:
+                    joined = np.concatenate(own)
+                    rows.append(joined - joined.mean(axis=0) if lesson.tared else joined)
+            self._parts.append(np.concatenate(rows))
+        self._width = columns[0].shape[1]
+        self._sums = np.stack([rows.T @ rows for rows in self._parts])
+        self._rows = np.array([len(rows) for rows in self._parts])
+
+    def scale(self, x: Array) -> Array:
+        """Return columns at mean 0 and RMS 1, the constant as it is."""
+        return np.asarray((x - self._mean) / self._rms)
+
+    def solve(self, without: tuple[int, ...], ridge: float) -> Array:
+        """Return the coefficients [J, K] of a fit to all parts but some."""
+        others = [g for g in range(len(self._parts)) if g not in without]
+        total, j = self._sums[others].sum(axis=0), self._width
+        held = np.full(j, ridge)
+        held[0] = KEPT
+        normal = total[:j, :j] + self._rows[others].sum() * np.diag(held)
+        return np.asarray(solve(normal, total[:j, j:], assume_a="pos"))
+
+    def measure_pairs(self, ridge: float) -> Array:
+        """Return [G, G] the mean squared error of part h when g is left out with it; 0 for g."""
+        count, j = len(self._parts), self._width
+        found = np.zeros((count, count))
+        for g, h in itertools.combinations(range(count), 2):
+            coefficients = self.solve((g, h), ridge)
+            for one, other in ((g, h), (h, g)):
+                rows = self._parts[other]
+                found[one, other] = np.mean((rows[:, j:] - rows[:, :j] @ coefficients) ** 2)
+        return found
+
 
 LAG_BANK, GRU = "lag bank", "GRU"
 FEWEST_RUNS = 3
@@ -89,10 +352,11 @@ def try_black_boxes(
     if not is_there(TRAIN.package):
         note = f"a GRU was not tried: {TRAIN.title} is not installed ({tell_install(TRAIN.name)})"
         return BlackBoxes(known[0], after, tuple(boxes), note)
-    from zerodrift.train.black_box.network import learn_network
 
     def tell(done: float) -> None:
         say(f"what a GRU learns: {100.0 * done:.0f} %")
+
+    from zerodrift.train.black_box.network import learn_network
 
     found = learn_network(lessons, tell)
     boxes.append(_judge(GRU, ", ".join(lessons[0].names), fitted, lessons, found, dataset))

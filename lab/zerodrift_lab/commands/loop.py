@@ -10,8 +10,7 @@ from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.course import MOST_ADDED
 from zerodrift.diagnosis.diagnose import diagnose_config
 from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.discovery.files import list_protocols
-from zerodrift.discovery.likely import expect_verdicts
+from zerodrift.discovery.criterion import expect_verdicts
 from zerodrift.discovery.plan import (
     NothingLeftError,
     Planned,
@@ -19,6 +18,7 @@ from zerodrift.discovery.plan import (
     find_open,
     plan_experiment,
 )
+from zerodrift.discovery.summary import list_protocols
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift_lab.twin.played import play_protocols
 from zerodrift_lab.twin.project import render_config, to_dataset, to_run

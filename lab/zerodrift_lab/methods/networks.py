@@ -10,6 +10,7 @@ import torch
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
+from zerodrift.train.epochs import GRADIENT_LIMIT, one_cycle
 from zerodrift.train.networks import (
     FeedForwardNetwork,
     GruNetwork,
@@ -17,7 +18,6 @@ from zerodrift.train.networks import (
     Network,
     TcnNetwork,
 )
-from zerodrift.train.optimise import GRADIENT_LIMIT, one_cycle
 from zerodrift_lab.methods.interface import (
     RECIPE,
     SCHEDULES,

@@ -30,18 +30,18 @@ NETWORK = (
     "zerodrift_lab/methods/windows.py",
     "zerodrift_lab/methods/networks.py",
     "zerodrift/train/networks.py",
-    "zerodrift/train/optimise.py",
+    "zerodrift/train/epochs.py",
     "zerodrift/train/recurrence.py",
 )
 PHYSICS = tuple(
     f"zerodrift/physics/{name}.py"
     for name in (
         "campaign", "catalogue", "effect", "effects_element", "effects_input", "effects_load",
-        "effects_temperature", "effects_time", "fit", "live", "model", "octaves",
-        "projection", "rates", "reduction", "registry", "search", "signals", "terms",
+        "effects_temperature", "effects_time", "fit", "live", "model",
+        "reduction", "registry", "search", "signals", "terms",
     )
 )  # fmt: skip
-OFFSETS = "zerodrift/diagnosis/offsets.py"
+OFFSETS = "zerodrift/diagnosis/case.py"
 SOURCES: Mapping[str, tuple[str, ...]] = {
     "linear": (
         "zerodrift_lab/methods/interface.py",

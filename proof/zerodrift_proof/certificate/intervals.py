@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
-from zerodrift_proof.certificate.block import BlockSet, LayerRows
+from zerodrift_proof.certificate.expressions import Statements
 from zerodrift_proof.certificate.guard import FIELD as SUM
-from zerodrift_proof.certificate.guard import Guard
+from zerodrift_proof.certificate.guard import BlockSet, Guard, LayerRows
 from zerodrift_proof.certificate.parser import (
     CBinary,
     CField,
@@ -26,8 +26,8 @@ from zerodrift_proof.certificate.parser import (
     Variable,
     is_name,
 )
-from zerodrift_proof.certificate.statements import Statements
 from zerodrift_proof.certificate.values import (
+    LIMITS,
     TYPES,
     Address,
     Block,
@@ -43,6 +43,17 @@ from zerodrift_proof.certificate.values import (
     anything,
     make_block,
 )
+
+# What variables and the runtime's tables can hold.
+#
+# The runtime's tables as the checker reads them.
+
+TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
+LIMITS |= {
+    f"{u}INT{n}_MAX": TYPES[f"{u.lower()}int{n}_t"][1] for u in ("", "U") for n in (8, 16, 32, 64)
+}
+"""Macros of stdint.h."""
+
 
 MOST_PATHS = 64
 DEEPEST = 20

@@ -11,8 +11,13 @@ import re
 from collections.abc import Mapping, Sequence
 
 from zerodrift_proof.certificate.assembly import run_assembly
-from zerodrift_proof.certificate.block import cut_known, has_block, read_block_set
-from zerodrift_proof.certificate.guard import is_summed, read_guard
+from zerodrift_proof.certificate.guard import (
+    cut_known,
+    has_block,
+    is_summed,
+    read_block_set,
+    read_guard,
+)
 from zerodrift_proof.certificate.intervals import IntervalMachine
 from zerodrift_proof.certificate.kernels import RULES, STRUCTS
 from zerodrift_proof.certificate.parser import (

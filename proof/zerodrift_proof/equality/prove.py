@@ -28,9 +28,18 @@ from zerodrift_proof.equality.build import (
     tell,
 )
 from zerodrift_proof.equality.kernels import Layers, Numbered
-from zerodrift_proof.equality.machine import Rule, TermMachine
-from zerodrift_proof.equality.memory import CellBlock, Found, Instance, Number, Spot
-from zerodrift_proof.equality.model import Model
+from zerodrift_proof.equality.machine import (
+    CellBlock,
+    Found,
+    Instance,
+    Number,
+    Rule,
+    Spot,
+    TermMachine,
+)
+from zerodrift_proof.equality.model import (
+    Model,
+)
 from zerodrift_proof.equality.parser import parse_all
 from zerodrift_proof.equality.reader import choose_lines, list_asked, preprocess, read_numbers
 from zerodrift_proof.equality.rules import Used, make_assembly, make_rules
@@ -49,6 +58,21 @@ from zerodrift_proof.object.program import (
     show_builds,
     show_program,
 )
+
+# What a model's file says, step by step, over terms: the meaning that the C must have.
+#
+# The fields of a model's state in the C, and what a sound state holds in them.
+#
+# Written from docs/reference/integer-arithmetic.md and integer-layers.md, node by node; reads the
+# integer model and nothing of the C. The tests evaluate it beside the reference. The state is that
+# of the C: a ring of samples with the place of the oldest, which stands for them in their order.
+
+
+IDENTITY, STEPS, PREVIOUS = "identity", "steps", "previous_temperature"
+CHECK, SLEPT = "check", "slept_us"
+ANSWERED, TARE, TARED = "answered", "tare", "tared"
+"""Fields of the state that no node has."""
+
 
 INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t", "zd_lstm_rows_t")
 """Constants of kernels that have intrinsics, where they are not in assembly."""

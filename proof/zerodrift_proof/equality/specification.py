@@ -17,7 +17,7 @@ from zerodrift_proof.equality.model import (
     Model,
 )
 from zerodrift_proof.equality.node import DRIFT, Ends, Field, Meaning, Moment, State
-from zerodrift_proof.equality.opaque import LONGEST, say_fast
+from zerodrift_proof.equality.rules import LONGEST, say_fast
 from zerodrift_proof.equality.syntax import TYPES
 from zerodrift_proof.equality.terms import Terms, UndecidedError, Whole
 

@@ -16,7 +16,13 @@ from pathlib import Path
 from zerodrift_proof.equality.kernels import CELL_LIMIT, H_LIMIT_Q30, Layers, LayerStep, Numbered
 from zerodrift_proof.equality.rules import pack_assembly
 from zerodrift_proof.equality.terms import UndecidedError, Whole
-from zerodrift_proof.object.image import Image, Kernel, ProgramError, parse_image, read_image
+from zerodrift_proof.object.image import (
+    Image,
+    Kernel,
+    ProgramError,
+    parse_image,
+    read_image,
+)
 from zerodrift_proof.object.machine import LOWEST, Area, ObjectMachine
 from zerodrift_proof.object.words import WORD
 

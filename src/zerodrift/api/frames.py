@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from zerodrift.base.config import FILE_NAME
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.dataset.code_format import CLOCK
-from zerodrift.dataset.design_codes import DESIGN_FORMAT, propose_codes
+from zerodrift.dataset.chip_codes import CLOCK, DESIGN_FORMAT, propose_codes
 from zerodrift.dataset.guess import round_up
 from zerodrift.dataset.units import read_unit
 

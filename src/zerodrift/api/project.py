@@ -398,7 +398,7 @@ class Project:
         found = _run(plan, request).result
 
         def draw() -> "Figure":
-            from zerodrift.report.figures_plan import draw_plan
+            from zerodrift.report.figures import draw_plan
 
             return draw_plan(found)
 
@@ -778,8 +778,7 @@ class Project:
         import polars as pl
 
         from zerodrift.api.frames import to_polars
-        from zerodrift.tasks.applied_model import open_applied
-        from zerodrift.tasks.apply import apply_model
+        from zerodrift.tasks.apply import apply_model, open_applied
 
         opened = open_applied(self.config, model, load_logs=lambda: self.dataset)
         with tempfile.TemporaryDirectory(prefix="zerodrift-") as scratch:

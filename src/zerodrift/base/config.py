@@ -8,25 +8,152 @@ from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
-from zerodrift.base.block_config import BLOCK_KEYS, BlockConfig, read_block_config
 from zerodrift.base.calibration_config import CalibrationConfig, read_calibration
-from zerodrift.base.clock_config import (
+from zerodrift.base.column_config import (
     ROW_TIME,
     ClockConfig,
+    CodesConfig,
+    ConversionConfig,
     TimeConfig,
+    check_junctions,
     read_clocks,
+    read_column,
+    read_quantity,
     read_time,
 )
-from zerodrift.base.column_config import CodesConfig, check_junctions, read_column, read_quantity
-from zerodrift.base.conversion_config import ConversionConfig
 from zerodrift.base.errors import InputError
 from zerodrift.base.experiment_config import ExperimentConfig, read_experiment
 from zerodrift.base.files import name_kind
-from zerodrift.base.fleet_config import PLACEHOLDER, FleetConfig, read_fleet
-from zerodrift.base.missing_config import MissingConfig, read_column_missing, read_missing
-from zerodrift.base.step_config import STEP_KEYS, read_step, refuse_equal_steps
-from zerodrift.base.toml_lines import find_line, index_lines
-from zerodrift.base.toml_table import LARGEST, TomlTable
+from zerodrift.base.fleet_config import (
+    BLOCK_KEYS,
+    PLACEHOLDER,
+    BlockConfig,
+    FleetConfig,
+    read_block_config,
+    read_fleet,
+)
+from zerodrift.base.toml_table import LARGEST, TomlTable, find_line, index_lines
+
+# Values of the logs that mean that there is none: `missing`, of [logs] or of a column's table.
+
+KEY = "missing"
+EXPECTED = 'a list of numbers and texts, such as [-200, "NAN"]'
+
+
+@dataclass(frozen=True)
+class MissingConfig:
+    """What a log writes where it has no value."""
+
+    everywhere: tuple[float | str, ...] = ()
+    """`[logs] missing`: in all columns but the time."""
+    columns: Mapping[str, tuple[float | str, ...]] = field(default_factory=dict)
+    """Column -> further ones, from its own table."""
+
+    def list_numbers(self, column: str) -> tuple[float, ...]:
+        """Return the numbers that are no value in a column."""
+        return tuple(value for value in self._list(column) if not isinstance(value, str))
+
+    def list_texts(self, column: str) -> tuple[str, ...]:
+        """Return the texts that are no value in a column."""
+        return tuple(value for value in self._list(column) if isinstance(value, str))
+
+    def _list(self, column: str) -> tuple[float | str, ...]:
+        return (*self.everywhere, *self.columns.get(column, ()))
+
+
+def read_missing(table: TomlTable) -> tuple[float | str, ...]:
+    """Return the values of a table's key `missing`; empty where it is left out.
+
+    Raises:
+        InputError: it is no list of numbers and texts.
+    """
+    if KEY not in table.values:
+        return ()
+    found = table.values[KEY]
+    if not isinstance(found, list) or not found:
+        raise table.expect(KEY, EXPECTED)
+    values: list[float | str] = []
+    for item in found:
+        if isinstance(item, str) and item.strip():
+            values.append(item.strip())
+            continue
+        one = TomlTable(table.file, table.lines, table.key, {KEY: item})
+        values.append(one.number(KEY, EXPECTED))
+    return tuple(values)
+
+
+def read_column_missing(table: TomlTable, key: str) -> dict[str, tuple[float | str, ...]]:
+    """Return column -> values, where a key holds a column's table with `missing`.
+
+    Raises:
+        InputError: as `read_missing`.
+    """
+    found = table.values.get(key)
+    if not isinstance(found, dict) or KEY not in found:
+        return {}
+    inner = table.table(key, None)
+    return {inner.text("column"): read_missing(inner)}
+
+
+# The keys of `[sensor]` that say when the firmware's steps come.
+
+STEP_KEYS = ("sample_period_s", "log_period_s")
+VARIABLE = "variable"
+SHORTEST_S, LONGEST_S = 1e-6, 4294.0
+"""Of the rows of a variable step's logs: the firmware counts microseconds in 32 bits there."""
+ANY_STEP_KINDS = ("none", "lag_bank", "mlp")
+"""Networks that carry nothing from sample to sample but low-passes."""
+
+
+@dataclass(frozen=True)
+class StepConfig:
+    """When steps come."""
+
+    period_s: float
+    """Seconds between two steps; of a variable step, between two rows of the logs."""
+    is_variable: bool
+    """Whether each step is given the time since the last one."""
+
+
+def read_step(sensor: TomlTable) -> StepConfig:
+    """Return the keys of `[sensor]` on the step.
+
+    Raises:
+        InputError: a value of the wrong type or range, or a key that belongs to another.
+    """
+    if not isinstance(sensor.values.get("sample_period_s"), str):
+        if "log_period_s" in sensor.values:
+            raise sensor.error(
+                "log_period_s",
+                f'log_period_s stands beside sample_period_s = "{VARIABLE}" alone; the logs are'
+                " brought to sample_period_s. Take it out.",
+            )
+        return StepConfig(sensor.positive("sample_period_s"), False)
+    if sensor.values["sample_period_s"] != VARIABLE:
+        raise sensor.expect("sample_period_s", f'a number > 0, or "{VARIABLE}"')
+    span = f"the seconds between two rows of the logs, {SHORTEST_S:g} to {LONGEST_S:g}"
+    period_s = sensor.number("log_period_s", span)
+    if not SHORTEST_S <= period_s <= LONGEST_S:
+        raise sensor.expect("log_period_s", span)
+    return StepConfig(period_s, True)
+
+
+def refuse_equal_steps(root: TomlTable, network: str) -> None:
+    """Refuse a network whose weights hold only for steps of equal length.
+
+    Raises:
+        InputError: names it, and what to use instead.
+    """
+    if network in ANY_STEP_KINDS:
+        return
+    table = root.table("network", None, optional=True)
+    raise table.error(
+        "kind",
+        f'"{network}" carries from sample to sample what its weights know for one sample period, or'
+        f' may; sample_period_s = "{VARIABLE}" has none. Use kind = "lag_bank" or "none", or state'
+        " sample_period_s as a number.",
+    )
+
 
 FILE_NAME = "zerodrift.toml"
 FOLDER = "firmware"

@@ -32,10 +32,17 @@ from zerodrift.base.files import (
     write_beside,
     write_whole,
 )
-from zerodrift.base.lock import LOCK, STATE, find_state, lock_project, take_turns, tell, try_lock
-from zerodrift.base.records import from_json, to_dict
-from zerodrift.base.scratch import clean_scratch
-from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.base.lock import (
+    LOCK,
+    STATE,
+    clean_scratch,
+    find_state,
+    lock_project,
+    take_turns,
+    tell,
+    try_lock,
+)
+from zerodrift.base.records import from_json, read_sealed, render_sealed, to_dict
 
 FORMAT = 1
 BEGIN, FORWARD, BACK = ".begin", ".forward", ".back"

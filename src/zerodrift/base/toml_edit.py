@@ -1,10 +1,4 @@
-"""Adds an `[[effect]]` table to the text of zerodrift.toml, takes one out, or names a file of
-effects there; all else stays.
-
-The text is edited line by line: a library that rewrites the document moves the comment above the
-next table, and tables that stand apart, to other places. The result is read back and compared, so
-that an edit either does exactly what was asked or is refused.
-"""
+"""Edits the text of zerodrift.toml: effects, channels and logs; all else stays as it is."""
 
 import json
 import re
@@ -13,7 +7,187 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.toml_lines import index_lines
+from zerodrift.base.toml_table import index_lines
+
+# Adds keys to columns of inputs in the text of zerodrift.toml, and its format; all else stays.
+
+FORMAT_NOTE = "  # of this file: what a code is worth is the same for every unit"
+_ROW = re.compile(
+    r"(?P<before>\s*[^=#]+=\s*)(?P<value>\{.*\}|\"[^\"]*\"|'[^']*')(?P<after>.*)", re.DOTALL
+)
+
+
+def set_format(text: str, number: int) -> str:
+    """Return the text with `format` added at its top, or changed where it is."""
+    line = f"format = {number}"
+    if re.search(r"^format\s*=\s*\d+", text, re.MULTILINE):
+        return re.sub(r"^format\s*=\s*\d+", line, text, count=1, flags=re.MULTILINE)
+    mark, rest = ("\ufeff", text[1:]) if text.startswith("\ufeff") else ("", text)
+    end = "\r\n" if "\r\n" in rest else "\n"
+    return f"{mark}{line}{FORMAT_NOTE}{end}{end}{rest}"
+
+
+def set_columns(
+    text: str, columns: Mapping[str, Mapping[str, object]], path: Path, table: str = "inputs"
+) -> str:
+    """Return the text with keys of inputs added; a name becomes a table.
+
+    Args:
+        text: a valid zerodrift.toml.
+        columns: input -> key -> value.
+        path: the file, for messages.
+        table: the table they are in, `inputs` or `sensor`.
+
+    Raises:
+        InputError: an input does not stand on a line of its own.
+    """
+    rows = text.splitlines(keepends=True)
+    lines = index_lines(text.lstrip("\ufeff"))
+    wanted = tomllib.loads(text.lstrip("\ufeff"))
+    inputs = wanted.get(table, {})
+    for name, keys in columns.items():
+        given = inputs[name]
+        known = {"column": given} if isinstance(given, str) else dict(given)
+        inputs[name] = known | dict(keys)
+        at = lines.get((table, name), 0) - 1
+        match = _ROW.fullmatch(rows[at]) if at >= 0 else None
+        if match is not None:
+            told = ", ".join(f"{key} = {_write(v)}" for key, v in inputs[name].items())
+            rows[at] = f"{match['before']}{{ {told} }}{match['after']}"
+    edited = "".join(rows)
+    try:
+        read = tomllib.loads(edited.lstrip("\ufeff"))
+    except tomllib.TOMLDecodeError:
+        read = {}
+    if read != wanted:
+        first = next(iter(columns))
+        raise InputError(
+            f"{path}:{lines.get((table, first), 1)}: its layout is not understood well enough "
+            f'to edit it; expected [{table}] with one key to a line, such as supply = "supply_V". '
+            f"Write {_describe(columns)} by hand."
+        )
+    return edited
+
+
+def _describe(columns: Mapping[str, Mapping[str, object]]) -> str:
+    return "; ".join(
+        f"{name} with " + ", ".join(f"{key} = {_write(v)}" for key, v in keys.items())
+        for name, keys in columns.items()
+    )
+
+
+def _write(value: object) -> str:
+    """Return a TOML value; JSON's strings and Python's shortest floats are TOML's too."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_write(v)}" for key, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_write, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
+# Names one more log under [logs] in the text of zerodrift.toml; all else stays.
+
+
+def add_log(text: str, name: str, *, path: Path = Path("zerodrift.toml")) -> str:
+    """Return the text with one more log at the end of `[logs] train`.
+
+    Args:
+        text: a valid zerodrift.toml.
+        name: of the log, relative to the project, with `/`.
+        path: the file, for messages.
+
+    Raises:
+        InputError: `train` is no list that can be edited.
+    """
+    plain = text.lstrip("\ufeff")
+    table = tomllib.loads(plain)
+    line = index_lines(plain).get(("logs", "train"))
+    refused = InputError(
+        f"{path}: [logs] train cannot be edited; expected a list of its own, train = [...]. Add "
+        f'"{name}" to it by hand.'
+    )
+    if line is None:
+        raise refused
+    rows = plain.splitlines(keepends=True)
+    begin = sum(len(row) for row in rows[: line - 1])
+    end = _find_end(plain, plain.index("=", begin) + 1)
+    if end is None:
+        raise refused
+    value = json.dumps(name, ensure_ascii=False)
+    if end[0]:
+        inner = plain[: end[1]].rstrip()
+        comma = {"[": "", ",": " "}.get(inner[-1], ", ")
+        edited = f"{inner}{comma}{value}{plain[end[1] :]}"
+    else:
+        edited = _add_row(plain, end[1], value)
+    logs = dict(table.get("logs", {}))
+    logs["train"] = [*logs.get("train", ()), name]
+    try:
+        is_so = tomllib.loads(edited) == {**table, "logs": logs}
+    except tomllib.TOMLDecodeError:
+        is_so = False
+    if not is_so:
+        raise refused
+    return text[: len(text) - len(plain)] + edited
+
+
+def _find_end(text: str, begin: int) -> tuple[bool, int] | None:
+    """Return whether a value is on the line of an array's closing bracket, and where that is."""
+    depth, at, first = 0, begin, None
+    while at < len(text):
+        char = text[at]
+        if char in "\"'":
+            close = text.find(char, at + 1)
+            while char == '"' and close > 0 and text[close - 1] == "\\":
+                close = text.find(char, close + 1)
+            if close < 0:
+                return None
+            at = close
+        elif char == "#":
+            at = text.find("\n", at)
+            if at < 0:
+                return None
+        elif char == "[":
+            first = at if first is None else first
+            depth += 1
+        elif char == "]":
+            depth -= 1
+            if depth == 0 and first is not None:
+                return bool(text[text.rfind("\n", 0, at) + 1 : at].strip()), at
+        elif first is None and not char.isspace():
+            return None
+        at += 1
+    return None
+
+
+def _add_row(text: str, end: int, value: str) -> str:
+    """Return the text with a value on a row of its own before a closing bracket.
+
+    The last value's row may end in a comment, before which a comma has to stand.
+    """
+    before = text[:end].rstrip()
+    rows = before.split("\n")
+    last, mark = rows[-1], ""
+    hash_at = last.rfind("#")
+    if hash_at >= 0 and last[:hash_at].count('"') % 2 == 0:
+        last, mark = last[:hash_at].rstrip(), "  " + last[hash_at:]
+    indent = last[: len(last) - len(last.lstrip())] or "    "
+    if last.strip() and not last.endswith((",", "[")):
+        last += ","
+    if last.endswith("["):
+        indent = "    "
+    end_of_line = "\r\n" if "\r\n" in text else "\n"
+    closing = end_of_line + text[text.rfind("\n", 0, end) + 1 : end]
+    kept = "\n".join([*rows[:-1], last + mark])
+    return f"{kept}{end_of_line}{indent}{value},{closing}{text[end:]}"
+
+
+# Adds an `[[effect]]` table to the text of zerodrift.toml, takes one out, or names a file of
+# effects there; all else stays.
+#
+# The text is edited line by line: a library that rewrites the document moves the comment above the
+# next table, and tables that stand apart, to other places. The result is read back and compared, so
+# that an edit either does exactly what was asked or is refused.
 
 _TABLES = "[[effect]] tables with one key to a line. Edit the effects by hand"
 _FILES = re.compile(

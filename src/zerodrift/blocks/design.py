@@ -11,8 +11,7 @@ import numpy as np
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.records import Json, from_json, to_json
-from zerodrift.blocks.align import align
-from zerodrift.blocks.align_rows import ROW_BIAS, most_norm
+from zerodrift.blocks.align import ROW_BIAS, align, most_norm
 from zerodrift.blocks.fields import TYPES, FieldPlace, Numbers, list_places, put, read
 from zerodrift.blocks.gru import count_pairs, find_overflow
 from zerodrift.blocks.proof import BlockField, prove_set

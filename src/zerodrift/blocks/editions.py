@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
-from zerodrift.base.block_config import BlockConfig
 from zerodrift.base.errors import InputError
+from zerodrift.base.fleet_config import BlockConfig
 from zerodrift.base.records import from_json
 from zerodrift.blocks.block import EPOCH, decode_header, seal
 

@@ -20,7 +20,7 @@ from zerodrift.cli.console import (
     show_progress,
 )
 from zerodrift.report.results import ApplyResult
-from zerodrift.tasks.applied_model import INTEGER, KINDS, ApplyRequest, apply_to_logs
+from zerodrift.tasks.apply import INTEGER, KINDS, ApplyRequest, apply_to_logs
 from zerodrift.tasks.project import ProjectFolder
 
 

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import click
 
-from zerodrift.calibration.files import split_output
+from zerodrift.calibration.files import split_output, summarise_calibration
 from zerodrift.calibration.matrix import CalibrationMatrix
-from zerodrift.calibration.summary import summarise_calibration
 from zerodrift.cli.common import (
     as_request,
     directory_option,

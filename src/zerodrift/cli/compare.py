@@ -23,7 +23,7 @@ from zerodrift.cli.console import (
     print_uncertainty,
     show_progress,
 )
-from zerodrift.dataset.time_units import is_unix, write_time
+from zerodrift.dataset.units import is_unix, write_time
 from zerodrift.diagnosis.compare import Comparison
 from zerodrift.diagnosis.segments import MOST_SEGMENTS
 from zerodrift.report.sentences import describe_patterns, explain_figures

@@ -24,7 +24,7 @@ from zerodrift.cli.console import (
 )
 from zerodrift.diagnosis.changes import name_directory
 from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
-from zerodrift.fleet.differing import ERROR, GAIN, SIZE, Difference
+from zerodrift.fleet.evidence import ERROR, GAIN, SIZE, Difference
 from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.description import write_values

@@ -1,15 +1,15 @@
 """`zerodrift firmware`: logs in, host-checked C out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from zerodrift.base.block_config import BlockConfig
 from zerodrift.base.errors import CheckError
 from zerodrift.base.files import show_path
+from zerodrift.base.fleet_config import BlockConfig
 from zerodrift.blocks.block import decode_header
 from zerodrift.cli.common import (
     as_request,
@@ -28,16 +28,90 @@ from zerodrift.cli.console import (
     print_statements,
     show_progress,
 )
-from zerodrift.cli.onnx_option import onnx_options
 from zerodrift.operations.input import IntegerInput
-from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
-from zerodrift.verify.conversions_told import tell_conversions
-from zerodrift.verify.errors_told import OutputError
+from zerodrift.tasks.firmware import FirmwareRequest, OnnxRequest, make_firmware
+from zerodrift.verify.errors_told import OutputError, tell_conversions
 from zerodrift.verify.firmware import Firmware
 from zerodrift.verify.summary import ErrorCauses, FirmwareSummary, ProvenError
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+# `zerodrift firmware --onnx`: a network from elsewhere as the compensator of a project.
+
+Result = TypeVar("Result")
+
+
+def onnx_options(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Add `--onnx` and its further options, passed on as `onnx: OnnxRequest | None`."""
+    options = (
+        click.argument("more_logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG...]"),
+        click.option(
+            "--onnx",
+            "onnx_path",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            help="Take the network of this ONNX file instead of training one.",
+        ),
+        click.option(
+            "--calibrate",
+            type=click.Path(path_type=Path),
+            multiple=True,
+            metavar="LOG...",
+            help="With --onnx: the logs that set the ranges (default: [logs] train).",
+        ),
+        click.option(
+            "--features",
+            metavar="NAME,...",
+            help="With --onnx: the network's inputs in order, of temperature and [inputs].",
+        ),
+        click.option(
+            "--memory",
+            metavar="stream|N",
+            help="With --onnx: carry the state, or windows of N samples (default: as the file).",
+        ),
+        click.option("--output", metavar="NAME", help="With --onnx: the graph output to take."),
+    )
+
+    def wrapper(
+        more_logs: tuple[Path, ...],
+        onnx_path: Path | None,
+        calibrate: tuple[Path, ...],
+        features: str | None,
+        memory: str | None,
+        output: str | None,
+        **others: object,
+    ) -> Result:
+        if more_logs and not calibrate:
+            raise click.UsageError(f"unexpected '{more_logs[0]}'; logs follow --calibrate")
+        given = (calibrate, features, memory, output)
+        if onnx_path is None and any(option for option in given):
+            raise click.UsageError("--calibrate, --features, --memory and --output go with --onnx")
+        onnx = None
+        if onnx_path is not None:
+            names = tuple(name.strip() for name in features.split(",")) if features else ()
+            logs = (*calibrate, *more_logs)
+            onnx = OnnxRequest(onnx_path, logs, names, _read_memory(memory), output)
+        return function(onnx=onnx, **others)
+
+    wrapper.__doc__ = function.__doc__
+    wrapper.__name__ = function.__name__
+    wrapper.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
+    for option in reversed(options):
+        wrapper = option(wrapper)
+    return wrapper
+
+
+def _read_memory(memory: str | None) -> str | int | None:
+    if memory is None or memory == "stream":
+        return memory
+    if not memory.isdigit() or int(memory) < 1:
+        raise click.BadParameter(
+            f"'{memory}'; expected 'stream', or the number of samples of a window", None, None
+        )
+    return int(memory)
+
 
 SMALL_BOUND = 0.1
 """Of what compensation gains: the share up to which a bound says something of the errors above it,

@@ -6,15 +6,21 @@ from pathlib import Path
 
 import click
 
-from zerodrift.base.clock_config import TIME_UNITS
+from zerodrift.base.column_config import TIME_UNITS
 from zerodrift.base.config import FILE_NAME
 from zerodrift.base.errors import InputError
 from zerodrift.cli.common import directory_option, json_option, print_result
 from zerodrift.cli.console import show_progress
 from zerodrift.dataset.guess import Guess
-from zerodrift.tasks.init import InitOutcome, InitRequest, begin
-from zerodrift.tasks.init_toml import find_temperature_unit, render_seen
-from zerodrift.tasks.upgrade import describe, upgrade
+from zerodrift.tasks.init import (
+    InitOutcome,
+    InitRequest,
+    begin,
+    describe,
+    find_temperature_unit,
+    render_seen,
+    upgrade,
+)
 
 
 @click.command()

@@ -14,7 +14,7 @@ from zerodrift.cli.common import directory_option, json_option, print_result
 from zerodrift.cli.console import open_console, open_table, show_progress
 from zerodrift.recording.coverage import Covered, CoveredRange
 from zerodrift.recording.recorder import Show
-from zerodrift.recording.summary import explain_missing
+from zerodrift.recording.status import explain_missing
 from zerodrift.report.results import RecordResult
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.recording import RecordRequest, finish, record, use_log

@@ -4,8 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from zerodrift.base.json_schema import describe_schema
-from zerodrift.base.records import get_schema_name
+from zerodrift.base.records import describe_schema, get_schema_name
 from zerodrift.report.results import RESULTS
 
 FOLDER = Path("docs/reference/schemas")

@@ -2,28 +2,27 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.base.column_config import RAW_CODES, CodesConfig
-from zerodrift.base.config import Config, locate_key
-from zerodrift.base.conversion_config import ConversionConfig, sum_formula
-from zerodrift.base.errors import InputError
-from zerodrift.dataset.code_format import AS_LOGGED, CLOCK, MEASURED, TEMPERATURE, ChipCodes
-from zerodrift.dataset.design_codes import (
-    CLOCK_LSB_S,
-    DESIGN_FORMAT,
-    TEMPERATURE_LSB_DEGC,
-    fill_codes,
-    require_design_lsb,
+from zerodrift.base.column_config import (
+    RAW_CODES,
+    TEMPERATURES,
+    CodesConfig,
+    ConversionConfig,
+    sum_formula,
 )
-from zerodrift.dataset.locate import locate_row
+from zerodrift.base.config import Config, locate_key
+from zerodrift.base.errors import InputError
+from zerodrift.dataset.checks import guess_temperature_unit, locate_row
+from zerodrift.dataset.conversions import emf, find_span
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.raw_codes import (
     SUM_LIMITS,
     RawCover,
+    RawRange,
     choose_fraction_bits,
     cover_range,
     find_linear,
@@ -31,7 +30,202 @@ from zerodrift.dataset.raw_codes import (
 )
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.tables import label_log
-from zerodrift.dataset.thermocouples import emf, find_span
+
+# Codes of one input of the chip, and the values that they can hold.
+
+TEMPERATURE, MEASURED, CLOCK = "temperature_degC", "measured:", "clock"
+"""Sources of codes: the thermometer, `measured:Fz` of an output, or an input; one is the clock."""
+AS_LOGGED = "as logged"
+"""Unit of an input that has none of its own."""
+
+
+@dataclass(frozen=True)
+class ChipCodes:
+    """The codes of one input: value = offset + code * lsb; or raw codes that become such codes."""
+
+    name: str
+    """`temperature`, `measured_Fz`, or the input's name."""
+    source: str
+    """`temperature_degC`, `measured:Fz`, or the input's name."""
+    column: str
+    """The column of the logs."""
+    unit: str
+    bits: int
+    lsb: float
+    no_reading: int | None
+    """The code that means that there is no reading; None: there is no such code."""
+    remedy: str
+    """What a user can change where a log leaves the range of these codes."""
+    offset: float = 0.0
+    cover: RawCover | None = None
+    """The raw codes that the chip is given; None: it is given these codes."""
+    by: ConversionConfig | None = None
+    """From raw code to value."""
+    held: RawRange | None = None
+    """Raw codes that have a value, where a table converts them."""
+
+    @property
+    def codes(self) -> tuple[int, int]:
+        """The lowest and highest code that is a reading."""
+        low, high = -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
+        if self.cover is not None and self.cover.is_plain:
+            low, high = self.cover.least, self.cover.most
+        return low + (self.no_reading == low), high - (self.no_reading == high)
+
+    def holds(self, low: float, high: float) -> bool:
+        """Tell whether codes hold both values, with one to spare on either side."""
+        lowest, highest = self.codes
+        return lowest < self._round(low) and self._round(high) < highest
+
+    def _round(self, value: float) -> int:
+        return round((value - self.offset) / self.lsb)
+
+    def find_outside(self, values: Array) -> int | None:
+        """Return the first position of values [n] that no code represents; None: there is none."""
+        if self.held is not None:
+            low, high = sorted(self.held.values)
+            beyond = ~((values >= low) & (values <= high))
+            return int(beyond.argmax()) if beyond.any() else None
+        codes = np.round((values - self.offset) / self.lsb)
+        lowest, highest = self.codes
+        outside = ~((codes >= lowest) & (codes <= highest)) | (codes == self.no_reading)
+        return int(outside.argmax()) if outside.any() else None
+
+    def explain(self, place: str, run: Run, value: float) -> InputError:
+        """Return the error about a value of a run that no code represents."""
+        held = hint = ""
+        if self.source == TEMPERATURE:
+            hint = guess_temperature_unit(self.column, run.temperature_degC)
+        if self.held is None and self._round(value) == self.no_reading:
+            held = f", and {self.no_reading} means no reading"
+        return InputError(
+            f"{place}: run '{run.name}': {self.column} is {self.show(value)}; {self.describe()}"
+            f"{held}.{hint} {self.remedy}"
+        )
+
+    def describe(self) -> str:
+        """Return in words what the codes hold."""
+        if self.held is not None and self.cover is not None and self.by is not None:
+            low, high = (self.show(value) for value in sorted(self.held.values))
+            codes = f"{self.cover.begin} .. {self.cover.end} of {self.cover.raw}"
+            if self.by.junction is not None:
+                codes = f"{self.cover.raw}, whatever '{self.by.junction}' is"
+            kind = self.by.kind or "scaled"
+            return f"the raw codes of '{self.name}' ({codes}, {kind}) hold {low} to {high}"
+        low, high = (self.show(code * self.lsb + self.offset) for code in self.codes)
+        kind = f"int{self.bits}" if self.cover is None else self.cover.raw
+        kind = f"{kind}, {self.show(self.lsb)} each"
+        return f"the codes of '{self.name}' ({kind}) hold {low} to {high}"
+
+    def show(self, value: float) -> str:
+        """Return a value with its unit."""
+        return f"{value:.10g}" if self.unit == AS_LOGGED else f"{value:.10g} {self.unit}"
+
+
+# The LSB of an input by zerodrift.toml alone: the same for every unit of a design.
+#
+# In projects of format 1 each unit's training logs decide it; from format 2 on they do not.
+
+DESIGN_FORMAT = 2
+"""`format` in zerodrift.toml from which on codes do not follow from a unit's logs."""
+TEMPERATURE_LSB_DEGC = 0.0078125
+"""One count of the TMP117, 2**-7 K (Texas Instruments, TMP117 data sheet, temperature register)."""
+CLOCK_LSB_S = 1.0
+FILLED = {16: 2.0**14, 32: 2.0**30}
+"""Bits of a code -> the code that the largest value is given, at most; twice it is held."""
+THERMOMETERS = ("ntc", "pt100", "pt1000", "thermocouple")
+"""`convert` that ends in degC."""
+
+
+def find_design_lsb(config: Config, name: str) -> float | None:
+    """Return the LSB of an input, in its unit; None: zerodrift.toml does not state it.
+
+    As stated; else 1 s for the clock, the slope of a linear conversion, 2**-7 K for a thermometer,
+    or the power of two by which the stated range fills 15 of 16 bits (31 of 32).
+    """
+    stated = config.input_codes.get(name, CodesConfig())
+    if stated.lsb is not None:
+        return stated.lsb
+    if name == CLOCK:
+        return CLOCK_LSB_S
+    linear = None if stated.by is None else find_linear(stated.by)
+    if linear is not None:
+        return abs(linear[0])
+    if is_thermometer(name, config.inputs[name], stated.by or config.conversions.get(name)):
+        return TEMPERATURE_LSB_DEGC
+    if stated.range is not None:
+        return fill_codes(max(map(abs, stated.range)), stated.bits or 16)
+    return None
+
+
+def is_thermometer(name: str, column: str, by: ConversionConfig | None = None) -> bool:
+    """Tell whether an input is a temperature in degC, by its name, column or conversion."""
+    if by is not None and (by.kind in THERMOMETERS or by.unit in TEMPERATURES):
+        return True
+    return "temperature" in name or column.endswith("degC")
+
+
+def fill_codes(largest: float, bits: int) -> float:
+    """Return the power-of-two LSB at which the largest value fills at most half the range."""
+    return float(2.0 ** math.ceil(math.log2(max(largest, 1e-30) / FILLED[bits])))
+
+
+def propose_codes(
+    name: str, column: str, low: float, high: float, is_degc: bool
+) -> tuple[str, float]:
+    """Return `raw` and `lsb` for a new project's input whose logs reach from low to high.
+
+    Args:
+        name: the input's.
+        column: its column.
+        low: lowest value of all logs.
+        high: highest value of all logs.
+        is_degc: it is known to be a thermometer in degC.
+    """
+    largest = max(abs(low), abs(high))
+    if is_degc or is_thermometer(name, column):
+        is_short = largest < (2.0**15 - 1) * TEMPERATURE_LSB_DEGC / 1.25
+        return ("int16" if is_short else "int32"), TEMPERATURE_LSB_DEGC
+    return "int16", fill_codes(largest, 16)
+
+
+def require_design_lsb(config: Config, name: str) -> float:
+    """Return `find_design_lsb`.
+
+    Raises:
+        InputError: zerodrift.toml does not state it.
+    """
+    found = find_design_lsb(config, name)
+    if found is not None:
+        return found
+    raise InputError(
+        f"{locate_key(config.path, 'inputs', name)}: '{name}' states neither lsb nor range; "
+        f"expected one of them, as from format = {DESIGN_FORMAT} on a code is worth the same for "
+        "every unit of the design, whatever its logs hold. `zerodrift init --upgrade` writes one "
+        f'that holds the logs, or write {name} = {{ column = "{config.inputs[name]}", range = '
+        "[LOWEST, HIGHEST] }."
+    )
+
+
+def list_unstated(config: Config) -> list[str]:
+    """Return the inputs whose LSB zerodrift.toml does not state."""
+    return [name for name in config.inputs if not explain_stated(config, name)]
+
+
+def explain_stated(config: Config, name: str) -> str:
+    """Return how zerodrift.toml states the LSB; empty: the logs decide it, in format 1."""
+    stated = config.input_codes.get(name, CodesConfig())
+    linear = None if stated.by is None else find_linear(stated.by)
+    if name == CLOCK:
+        return "whole seconds"
+    if linear is not None:
+        return "the hardware's own codes"
+    if stated.lsb is not None and (stated.bits is not None or stated.raw):
+        return "it states raw and lsb"
+    if config.format >= DESIGN_FORMAT and find_design_lsb(config, name) is not None:
+        return f"format = {DESIGN_FORMAT} says what a code is worth"
+    return ""
+
 
 FLAG_MARGIN_K = 2.0
 """The temperature is flagged when it is further than this from the calibrated range."""

@@ -8,8 +8,12 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.dataset.checks import explain_invalid_row, find_invalid_rows, widen_plausible
-from zerodrift.dataset.locate import locate_row
+from zerodrift.dataset.checks import (
+    explain_invalid_row,
+    find_invalid_rows,
+    locate_row,
+    widen_plausible,
+)
 from zerodrift.dataset.tables import Source, open_source, read_table
 
 CODE_COLUMNS = tuple(f"adc_{number}" for number in range(1, 7))

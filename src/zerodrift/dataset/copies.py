@@ -18,8 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
-from zerodrift.base.ranks import find_median
+from zerodrift.base.arrays import Array, find_median
 from zerodrift.dataset.read_runs import ReadRun, ReadRuns
 from zerodrift.dataset.resolution import (
     DIGITS,

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
+from zerodrift.base.column_config import TIME_UNITS, ConversionConfig, TimeConfig
 from zerodrift.base.config import MAX_OUTPUTS
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import COLDEST_DEGC, HOTTEST_DEGC
-from zerodrift.dataset.guess_inputs import choose_codes, choose_inputs, write_column
+from zerodrift.dataset.chip_codes import CLOCK, propose_codes
+from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.guess_runs import (
     FoundRun,
     LogFiles,
@@ -34,9 +35,65 @@ from zerodrift.dataset.roles import (
 )
 from zerodrift.dataset.sampling import look_at_sampling
 from zerodrift.dataset.survey import Times, words
-from zerodrift.dataset.time_units import FASTEST_S, SLOWEST_S, is_unix, read_time_unit
 from zerodrift.dataset.times import find_zone
-from zerodrift.dataset.units import read_unit, strip_unit
+from zerodrift.dataset.units import (
+    FASTEST_S,
+    SLOWEST_S,
+    is_unix,
+    read_time_unit,
+    read_unit,
+    strip_unit,
+)
+
+# The further channels of a project that `init` finds, and the LSB of each.
+
+
+def write_column(files: Sequence[SurveyedFile], file: SurveyedFile, role: Role) -> str:
+    """Return a column's name as zerodrift.toml has it: with its file where several have it."""
+    name = role.column.name
+    holders = [each for each in files if name in each.survey.source.names]
+    return name if len(holders) == 1 else f"{file.name}:{name}"
+
+
+def choose_inputs(files: Sequence[SurveyedFile], shared: set[str]) -> dict[str, str]:
+    """Return channel -> column of one run's files, the clock first."""
+    inputs: dict[str, str] = {}
+    for file in files:
+        for role in file.list(INPUT):
+            if role.column.name in shared:
+                inputs.setdefault(role.channel, write_column(files, file, role))
+    clock = inputs.pop("clock", None)
+    return ({"clock": clock} if clock else {}) | inputs
+
+
+def choose_codes(
+    columns: Sequence[tuple[str, str]], runs: Sequence[Sequence[SurveyedFile]]
+) -> dict[str, tuple[str, float]]:
+    """Return column -> `raw` and `lsb` that hold its lowest and highest value of all runs.
+
+    Args:
+        columns: input and its column as zerodrift.toml names it.
+        runs: the files of each run, of all units of a fleet.
+    """
+    chosen = {}
+    for name, column in columns:
+        held = [
+            role
+            for files in runs
+            for file in files
+            for role in file.roles
+            if column in (role.column.name, write_column(files, file, role))
+        ]
+        if held and name != CLOCK:
+            low = min(role.column.low for role in held)
+            high = max(role.column.high for role in held)
+            is_degc = held[0].role == TEMPERATURE
+            if held[0].column.unit in ("degF", "K"):
+                by = ConversionConfig(unit=held[0].column.unit)
+                low, high = (float(end) for end in convert(np.array([low, high]), by))
+            chosen[column] = propose_codes(name, column, low, high, is_degc)
+    return chosen
+
 
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
 GENERIC_NAMES = re.compile(

@@ -10,19 +10,23 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import DWELL, TEST, TRAIN, USES, Config, locate_key
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.checks import check_period, guess_temperature_unit
-from zerodrift.dataset.locate import locate_row
+from zerodrift.dataset.checks import check_period, guess_temperature_unit, locate_row
 from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.open_log import open_log
-from zerodrift.dataset.resample import MIN_STEPS, Stretch, plan_stretches
 from zerodrift.dataset.runs import Dataset, Run, share_resolution
-from zerodrift.dataset.sampling import COARSEST, Sampling, look_at_sampling
+from zerodrift.dataset.sampling import (
+    COARSEST,
+    MIN_STEPS,
+    Sampling,
+    Stretch,
+    look_at_sampling,
+    plan_stretches,
+)
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
 from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
 from zerodrift.dataset.tables import LogTable, label_log
-from zerodrift.dataset.time_units import read_time_unit, refuse_unit, tell_time
-from zerodrift.dataset.units import are_alike, read_unit
+from zerodrift.dataset.units import are_alike, read_time_unit, read_unit, refuse_unit, tell_time
 
 SMALL_SPAN_K = 2.0
 """Train logs that span less than this are noted: little can be learnt from them."""

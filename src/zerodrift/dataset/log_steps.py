@@ -15,9 +15,9 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.bridges import plan_spans
-from zerodrift.dataset.code_format import MEASURED, TEMPERATURE
+from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
 from zerodrift.dataset.open_log import open_log
-from zerodrift.dataset.resample import KEPT_TOLERANCE, Stretch, plan_stretches
+from zerodrift.dataset.sampling import KEPT_TOLERANCE, Stretch, plan_stretches
 from zerodrift.dataset.selectors import Selection, list_files
 from zerodrift.dataset.tables import LogTable, Source
 

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, find_median, find_quantile
 from zerodrift.base.config import Config
-from zerodrift.base.ranks import find_median, find_quantile
 from zerodrift.dataset.runs import Run
-from zerodrift.dataset.time_units import tell_time
+from zerodrift.dataset.units import tell_time
 
 UNIT_RATIOS = {
     1000.0: "one in thousandths of the other's unit",

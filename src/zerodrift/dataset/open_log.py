@@ -1,28 +1,157 @@
 """Opens one log: its rows, selected, checked and split into runs."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from zerodrift.base.column_config import CodesConfig
-from zerodrift.base.config import Config
+from zerodrift.base.column_config import FACTORS, TIME_UNITS, CodesConfig
+from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.checks import (
+    SKIP,
     check_time,
     explain_invalid_row,
+    find_blank_rows,
     find_invalid_rows,
     find_invalid_values,
     find_late_rows,
+    locate_row,
+    show_text,
     widen_plausible,
 )
+from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.join import join_tables
-from zerodrift.dataset.joined_couples import convert_joined
-from zerodrift.dataset.locate import find_blank_rows, locate_row
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.selectors import Selection
-from zerodrift.dataset.stated_units import refuse_contradictions
-from zerodrift.dataset.tables import LogTable, label_log
+from zerodrift.dataset.tables import LogTable, Source, label_log
+from zerodrift.dataset.units import normalise_unit, read_time_unit
+
+# Units that a log itself states, by a row of units or its format, against zerodrift.toml's.
+
+
+def refuse_contradictions(config: Config, source: Source) -> None:
+    """Refuse columns that are taken in one unit where the log states another of the same quantity.
+
+    Columns with a conversion table in zerodrift.toml are not checked: the table decides.
+
+    Raises:
+        InputError: names the log, both units, and the table to write.
+    """
+    stated = {name: unit for name, unit in source.units.items() if unit}
+    if not stated:
+        return
+    wanted: list[tuple[str, str, str, tuple[str, ...]]] = [
+        ("[sensor] temperature", config.temperature_column, "degC", ("sensor", "temperature"))
+    ]
+    for output in config.outputs:
+        for key, column in (("measured", output.measured), ("reference", output.reference)):
+            if isinstance(column, str):
+                own = ("outputs", output.name, key)
+                wanted.append((f"[outputs.{output.name}] {key}", column, output.unit, own))
+    time = config.clocks.time(source.path, config.time)
+    if len(time.columns) == 1 and not time.unit and not time.format:
+        unit = read_time_unit(time.columns[0]) or "s"
+        wanted.append(("[sensor] time", time.columns[0], unit, ("sensor", "time")))
+    for role, column, taken, place in wanted:
+        name = column if column in stated else column.rpartition(":")[2]
+        if name not in stated or column in config.conversions:
+            continue
+        found = normalise_unit(stated[name], name)
+        if not _contradict(found, taken):
+            continue
+        key = role.rpartition(" ")[2]
+        row = source.text.header_line + 1 if source.text is not None else 0
+        raise InputError(
+            f"{source.label}{f':{row}' if row else ''}: column '{name}' is in {found}, as the log "
+            f"states, and {locate_key(config.path, *place)} takes it as {taken}; expected one unit."
+            f' Write {key} = {{ column = "{column}", unit = "{found}" }} in '
+            f"{role.rpartition(' ')[0]}, which converts it."
+        )
+
+
+def _contradict(found: str, unit: str) -> bool:
+    """Tell whether two units are of one quantity and differ."""
+    if unit == "degC":
+        return found in ("K", "degF")
+    if unit in TIME_UNITS and found in TIME_UNITS:
+        return found != unit
+    one, other = FACTORS.get(found), FACTORS.get(unit)
+    return one is not None and other is not None and one[0] == other[0] and one[1] != other[1]
+
+
+# Thermocouples whose cold junction another file of the run has: converted once both are joined.
+
+
+def convert_joined(
+    config: Config,
+    joined: LogTable,
+    tables: Sequence[LogTable],
+    skip_invalid: bool,
+    holes: bool,
+    notes: list[str],
+) -> None:
+    """Convert the voltages that needed a cold junction from another file, in place.
+
+    The junction's temperature is interpolated linearly to the rows of the join.
+
+    Args:
+        config: the project.
+        joined: the run.
+        tables: its files, before the join.
+        skip_invalid: drop rows that have no temperature instead of raising.
+        holes: leave them as NaN.
+        notes: gets how many were dropped.
+
+    Raises:
+        InputError: the conversion has no temperature for a voltage.
+    """
+    wrong = np.zeros(len(joined), dtype=np.bool_)
+    for column in [c for table in tables for c in table.deferred]:
+        by = config.conversions[column]
+        cold = config.inputs[by.junction or ""]
+        found = convert(joined.columns[column], by, joined.columns[cold])
+        joined.columns[column] = found
+        joined.converted += (column,)
+        stated = config.temperature_codes.range
+        names = [name for name, own in config.inputs.items() if own == column]
+        if names:
+            stated = config.input_codes[names[0]].range
+        invalid = find_invalid_values(found, widen_plausible(stated))
+        if invalid is None:
+            continue
+        if holes:
+            found[invalid] = np.nan
+            continue
+        if not skip_invalid or invalid.all():
+            own = next(table for table in tables if column in table.deferred)
+            raise _explain(config, joined, own, column, int(np.argmax(invalid)))
+        wrong |= invalid
+    if wrong.any():
+        label = joined.source.label
+        notes.append(
+            f"{label}: dropped {int(wrong.sum())} of {wrong.size} rows whose voltage and cold "
+            "junction make no temperature"
+        )
+        joined.take(~wrong)
+
+
+def _explain(config: Config, joined: LogTable, own: LogTable, column: str, row: int) -> InputError:
+    """Return the error about a row of the join, with the nearest row of the thermocouple's file."""
+    at_s = float(joined.columns[config.time_column][row])
+    nearest = int(np.argmin(np.abs(own.columns[config.time_column] - at_s)))
+    place = locate_row(own.source, own.position(nearest))
+    text = place.values.get(column, place.values.get(column.partition(":")[2])) or ""
+    by = config.conversions[column]
+    cold = config.inputs[by.junction or ""]
+    degc = float(joined.columns[cold][row])
+    became = float(joined.columns[column][row])
+    made = "no temperature" if np.isnan(became) else f"{became:.6g} degC"
+    return InputError(
+        f"{place.text}: column '{column}' holds '{show_text(text)}', which with its cold junction "
+        f"'{cold}' at {degc:.6g} degC makes {made} by type {by.couple}; expected a temperature "
+        f"in its range. Correct unit, scale or type in zerodrift.toml, or the row, {SKIP} it."
+    )
 
 
 def list_columns(config: Config) -> dict[str, str]:

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array, Mask
-from zerodrift.base.ranks import find_median, find_quantile
+from zerodrift.base.arrays import Array, Mask, find_median, find_quantile
 
 IntArray = NDArray[np.int64]
 

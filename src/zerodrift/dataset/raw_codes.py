@@ -6,9 +6,8 @@ from itertools import pairwise
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.base.conversion_config import ConversionConfig
-from zerodrift.dataset.conversions import convert
-from zerodrift.dataset.thermocouples import emf, find_sure_span
+from zerodrift.base.column_config import ConversionConfig
+from zerodrift.dataset.conversions import convert, emf, find_sure_span
 
 RAW_LIMITS = {
     "uint16": (0, 2**16 - 1),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.checks import locate_row
 from zerodrift.dataset.copies import Marks, SharedRows, confirm, find_alignments, mark_run
-from zerodrift.dataset.locate import locate_row
 from zerodrift.dataset.naming import RunKey
 from zerodrift.dataset.selectors import Selection
 from zerodrift.dataset.tables import LogTable

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from zerodrift.base.arrays import Array
-from zerodrift.base.clock_config import TIME_UNITS, TimeConfig
+from zerodrift.base.column_config import TIME_UNITS, TimeConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.tables import (
     PARSER_ERRORS,
@@ -18,10 +18,15 @@ from zerodrift.dataset.tables import (
     write_text,
 )
 from zerodrift.dataset.text_format import UNNAMED
-from zerodrift.dataset.time_formats import TimeFormat, agree_on_formats, list_formats
-from zerodrift.dataset.time_units import guess_time_unit, read_time_unit
-from zerodrift.dataset.times import Clock, find_clock, join_texts
-from zerodrift.dataset.units import normalise_unit, read_unit
+from zerodrift.dataset.times import (
+    Clock,
+    TimeFormat,
+    agree_on_formats,
+    find_clock,
+    join_texts,
+    list_formats,
+)
+from zerodrift.dataset.units import guess_time_unit, normalise_unit, read_time_unit, read_unit
 
 HEAD_ROWS = 1000
 SAMPLE_ROWS = 20_000

@@ -1,10 +1,11 @@
 """Reads the needed columns of one log, CSV or Parquet, as float64 arrays.
 
 The first pass only parses: what is no number becomes NaN. Only when a check fails is the file read
-a second time, by `zerodrift.dataset.locate`, for the line and the text of the offending row.
+a second time, by `zerodrift.dataset.checks`, for the line and the text of the offending row.
 """
 
 import hashlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,8 +17,6 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.files import name_kind
-from zerodrift.dataset.columns import GrowingColumns
-from zerodrift.dataset.quotes import check_quotes
 from zerodrift.dataset.selectors import ARROW_SUFFIXES, PARQUET_SUFFIXES
 from zerodrift.dataset.text_format import (
     UNNAMED,
@@ -28,6 +27,112 @@ from zerodrift.dataset.text_format import (
     write_plain,
 )
 from zerodrift.dataset.times import Clock
+
+# Float64 columns that grow batch by batch and are never copied as a whole.
+
+
+class GrowingColumns:
+    """Equally long columns with room reserved ahead; unused room takes address space, not
+    memory."""
+
+    def __init__(self, names: Sequence[str], capacity: int) -> None:
+        self._arrays: dict[str, Array] = {name: np.empty(capacity) for name in names}
+        self._capacity = capacity
+        self._rows = 0
+
+    def __len__(self) -> int:
+        """Return the number of rows so far."""
+        return self._rows
+
+    def append(self, batch: pl.DataFrame) -> None:
+        """Add the rows of a batch that has these columns, as float64; null becomes NaN."""
+        rows = self._rows + batch.height
+        if rows > self._capacity:
+            self._capacity = rows + rows // 4
+            for name, old in self._arrays.items():
+                self._arrays[name] = np.empty(self._capacity)
+                self._arrays[name][: self._rows] = old[: self._rows]
+        for name, array in self._arrays.items():
+            array[self._rows : rows] = batch[name].to_numpy()
+        self._rows = rows
+
+    def finish(self) -> dict[str, Array]:
+        """Return name -> [n]."""
+        return {name: array[: self._rows] for name, array in self._arrays.items()}
+
+
+# Checks that the quotation marks of a CSV leave no doubt where its rows end.
+#
+# Polars takes a mark anywhere in a field for the start of quoted text, and all lines up to the next
+# mark for one row: one `5"` among remarks would silently cost every row between it and the next.
+
+_MARK = b'"'
+_BLOCK_BYTES = 1 << 22
+_LONGEST_FIELD_BYTES = 1 << 20
+_SHOWN = 60
+
+
+def check_quotes(path: Path, label: str, separator: str) -> None:
+    """Refuse a CSV in which a quotation mark runs over the end of a line without quoting a field.
+
+    Marks in pairs within a line do no harm, nor does a quoted field that holds line breaks. A file
+    without any mark, the usual case, is only searched for one.
+
+    Args:
+        path: the log.
+        label: how messages name it.
+        separator: the character between fields.
+
+    Raises:
+        InputError: with the line of the mark.
+    """
+    if not _holds_mark(path):
+        return
+    between = re.escape(separator.encode())
+    quoted = re.compile(rb'(?:(?<=%b)|\A)[ \t]*"(?:[^"]|"")*"(?=%b|\r?\n|\Z)' % (between, between))
+    for number, record, is_closed in _list_odd_records(path):
+        first = record.split(b"\n", 1)[0].decode("utf-8", "replace").strip()[:_SHOWN]
+        if not is_closed:
+            raise InputError(
+                f"{label}:{number}: a quotation mark opens a field that is not closed ({first}); "
+                "expected them in pairs around a field. Close or remove it."
+            )
+        if _MARK in quoted.sub(b"", record):
+            raise InputError(
+                f"{label}:{number}: a quotation mark stands alone within a field ({first}); "
+                "expected them in pairs around a field, as it would swallow the rows up to the "
+                "next one. Remove it, or double it and quote the whole field."
+            )
+
+
+def _holds_mark(path: Path) -> bool:
+    with path.open("rb") as file:
+        return any(_MARK in block for block in iter(lambda: file.read(_BLOCK_BYTES), b""))
+
+
+def _list_odd_records(path: Path) -> Iterator[tuple[int, bytes, bool]]:
+    """Yield what begins on a line with an odd number of marks and ends on the next such line.
+
+    Each as the number of its first line, its bytes, and whether a line that ends it comes within
+    the greatest length of a field.
+    """
+    start, record = 0, b""
+    with path.open("rb") as file:
+        next(file)
+        for number, line in enumerate(file, start=2):
+            is_odd = line.count(_MARK) % 2 == 1
+            if record:
+                record += line
+                if is_odd:
+                    yield start, record, True
+                    record = b""
+                elif len(record) > _LONGEST_FIELD_BYTES:
+                    break
+            elif is_odd:
+                start, record = number, line
+    if record:
+        yield start, record, False
+
 
 PARSER_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 """What Polars raises over a damaged file."""

@@ -8,13 +8,6 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, OutlierCount, Run, tell_outliers
 from zerodrift.diagnosis.baselines import explain_share, fit_constant
-from zerodrift.diagnosis.comparison_summary import (
-    ComparisonSummary,
-    OutputSummary,
-    PatternSummary,
-    RunSummary,
-    WorstSegment,
-)
 from zerodrift.diagnosis.floor import NoiseFloor, measure_floor
 from zerodrift.diagnosis.held_out import NONE, TEST_LOGS, HeldOut
 from zerodrift.diagnosis.run_errors import (
@@ -25,6 +18,13 @@ from zerodrift.diagnosis.run_errors import (
     pool_steady_rmse,
 )
 from zerodrift.diagnosis.segments import MOST_SEGMENTS, Failures, find_failures
+from zerodrift.diagnosis.summary import (
+    ComparisonSummary,
+    OutputSummary,
+    PatternSummary,
+    RunSummary,
+    WorstSegment,
+)
 
 Predict = Callable[[Run], Array]
 

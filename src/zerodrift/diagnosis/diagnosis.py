@@ -6,8 +6,10 @@ from typing import ClassVar
 
 from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
+from zerodrift.diagnosis.changes import AddCommand
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.remainder import RemainderPattern
+from zerodrift.diagnosis.thermometers import OtherThermometer
 
 SURE = 0.99
 """A higher probability is told as higher than this, one below 1 - SURE likewise."""
@@ -158,3 +160,68 @@ class Diagnosis:
     def floor(self) -> str:
         """Older name of `noise_floor_source`."""
         return self.noise_floor_source
+
+
+# A diagnosis with its sentences and the commands that follow from it.
+
+HEADLINE, DETAIL, STEP = "headline", "detail", "step"
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """One sentence of a verdict."""
+
+    text: str
+    role: str = DETAIL
+    """headline: a page's headline says it already; detail; step: it tells what to type."""
+
+
+@dataclass(frozen=True)
+class ExplainedDiagnosis:
+    """What a model lacks, in figures, in sentences, and as what to do about it."""
+
+    diagnosis: Diagnosis
+    command: AddCommand | None
+    """What adds the missing effect; None where none is named."""
+    thermometers: tuple[OtherThermometer, ...]
+    """Further thermometers that the drift follows, the best first."""
+    sentences: tuple[Sentence, ...]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The effects that the verdict names, the likeliest first, look-alikes after it."""
+        effect = self.diagnosis.effect
+        return () if effect is None else (effect, *self.diagnosis.lookalikes)
+
+
+# Rates how strong a verdict's evidence is, in one word.
+
+STRONG, WEAK, NONE = "strong", "weak", "none"
+CHANCE = 0.05
+"""p-value above which chance is not ruled out."""
+SMALL_GAIN = 0.9
+"""RMSE on runs left out with the effect over that without it: above, the gain is small."""
+
+
+@dataclass(frozen=True)
+class EvidenceStrength:
+    """What an effect's name rests on."""
+
+    level: str
+    """strong | weak | none: nothing is named."""
+    why: str
+    """What makes it weak, in words; empty where it is not."""
+
+
+def rate_strength(diagnosis: Diagnosis) -> EvidenceStrength:
+    """Return how strong the evidence for the named effect is."""
+    named = next((c for c in diagnosis.candidates if c.effect == diagnosis.effect), None)
+    if diagnosis.effect is None or named is None:
+        return EvidenceStrength(NONE, "")
+    reasons = []
+    if named.p_value > CHANCE:
+        reasons.append(f"too few runs to rule out chance (p = {named.p_value:.2g})")
+    if named.rmse_left_out_ratio > SMALL_GAIN:
+        gain = 100.0 * (1.0 - named.rmse_left_out_ratio)
+        reasons.append(f"the gain on runs left out is only {gain:.1f} %")
+    return EvidenceStrength(WEAK if reasons else STRONG, " and ".join(reasons))

@@ -1,26 +1,328 @@
 """The findings in words and numbers: verdict, next experiment, evidence, notes."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.dataset.runs import OutlierCount, tell_outliers
+from zerodrift.dataset.runs import OutlierCount, Run, tell_outliers
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.diagnosis import LIKELY, CandidateReport, Diagnosis, OutputErrors
 from zerodrift.diagnosis.examination import Examination, Judged, predict
-from zerodrift.diagnosis.experiments import choose_experiment
-from zerodrift.diagnosis.probability import tell_probabilities
 from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, single_out_runs
 from zerodrift.diagnosis.rules import ENOUGH_RUNS, Finding, list_lookalikes, wanders
-from zerodrift.physics.effect import FEWEST_RUNS
+from zerodrift.operations.backend import NumpyOperations
+from zerodrift.physics.effect import FEWEST_RUNS, Signals
 from zerodrift.physics.fit import flat_weights
 from zerodrift.physics.run_offsets import TREND_BY_CHANCE
-from zerodrift.physics.search import Found, search
-from zerodrift.physics.signals import explain_missing
-from zerodrift.physics.terms import tidy_terms
+from zerodrift.physics.search import Found, Solution, search
+from zerodrift.physics.signals import SignalPlan, explain_missing
+from zerodrift.physics.terms import Term, build_features, tidy_terms
+
+# The next experiment: the one of a few simple ones that would tell two explanations apart.
+#
+# Both models are simulated through each experiment on the menu, within the temperatures and loads
+# that the logs have seen; the experiment is best in which their predictions differ most
+# (discrimination design, Atkinson and Fedorov, Biometrika 62 (1975)).
+
+STEPS = 7200
+"""Simulated seconds of each experiment."""
+WORTHWHILE = 1.0
+"""Predictions must differ by this many times the noise for an experiment to be worth doing."""
+
+
+NEARLY = 0.95
+"""An experiment that tells this share of what the best one tells will do."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One item of the menu: what to do, and what the signals would then be."""
+
+    name: str
+    instruction: str
+    temperature_degC: Array
+    load_share: Array
+    """[n] of each output's largest load in the logs."""
+    channel_share: Mapping[str, Array]
+    """Channel -> [n] share of its range in the logs, 0..1."""
+
+    @property
+    def effort(self) -> int:
+        """How many things have to be moved."""
+        moves_temperature = bool(np.ptp(self.temperature_degC) > 0.0)
+        return int(moves_temperature) + int(self.load_share.any()) + len(self.channel_share)
+
+
+def list_experiments(lowest_degC: float, highest_degC: float) -> list[Experiment]:
+    """Return the menu, within a range of temperatures."""
+    t = np.arange(STEPS, dtype=np.float64)
+    middle = 0.5 * (lowest_degC + highest_degC)
+    rest = np.full(STEPS, middle)
+    none = np.zeros(STEPS)
+    half = np.full(STEPS, 0.5)
+    reach = highest_degC - lowest_degC
+
+    def ramps(*knots: tuple[float, float]) -> Array:
+        times, shares = zip(*knots, strict=True)
+        return np.asarray(lowest_degC + reach * np.interp(t / STEPS, times, shares))
+
+    two_rates = ramps((0.0, 0.2), (0.1, 0.2), (0.15, 0.8), (0.45, 0.8), (0.8, 0.2), (1.0, 0.2))
+    loop = ramps((0.0, 0.5), (0.05, 0.5), (0.3, 1.0), (0.7, 0.0), (0.95, 0.5), (1.0, 0.5))
+    hold = ((t > 0.1 * STEPS) & (t < 0.5 * STEPS)).astype(np.float64)
+    stairs = np.minimum(np.floor(t / STEPS * 20.0), 20.0 - np.floor(t / STEPS * 20.0)) / 10.0
+    switched = (np.floor(t / STEPS * 8.0) % 2.0).astype(np.float64)
+    return [
+        Experiment(
+            "two ramp rates",
+            "ramp the temperature once fast and once slowly, with dwells between, unloaded",
+            two_rates,
+            none,
+            {},
+        ),
+        Experiment(
+            "heating and cooling loop",
+            "run one full loop of temperature, warm, cold and back, slowly and unloaded",
+            loop,
+            none,
+            {},
+        ),
+        Experiment(
+            "step and hold of the load",
+            "at constant temperature put a load on, hold it for an hour, take it off, wait",
+            rest,
+            hold,
+            {},
+        ),
+        Experiment(
+            "stairs of the load",
+            "at constant temperature raise the load in ten steps and lower it by the same steps",
+            rest,
+            stairs,
+            {},
+        ),
+        Experiment(
+            "load at several temperatures",
+            "hang the same load on and off while the temperature ramps",
+            loop,
+            switched,
+            {},
+        ),
+        Experiment(
+            "cold power-on",
+            "switch the power on at constant temperature after hours off, and log two hours "
+            "without taring",
+            rest,
+            none,
+            {},
+        ),
+        *(
+            Experiment(name, instruction, rest, none, {channel: share})
+            for name, instruction, channel, share in (
+                (
+                    "light off and on",
+                    "at rest switch the light off and on, several times",
+                    "ambient_light",
+                    switched,
+                ),
+                (
+                    "supply steps",
+                    "at rest step the supply up and down, several times",
+                    "supply",
+                    switched,
+                ),
+                (
+                    "humidity step",
+                    "at constant temperature step the humidity once and wait",
+                    "humidity",
+                    hold,
+                ),
+                (
+                    "six attitudes",
+                    "turn the unloaded sensor through six attitudes",
+                    "acceleration_z",
+                    half * 2.0 * switched,
+                ),
+            )
+        ),
+    ]
+
+
+def choose_experiment(
+    plan: SignalPlan,
+    runs: Sequence[Run],
+    order: Sequence[str],
+    one: tuple[Sequence[Term], Solution],
+    other: tuple[Sequence[Term], Solution],
+    noise: Array,
+) -> tuple[Experiment, float] | None:
+    """Return the experiment in which two fitted models differ most, and by how many noise RMS.
+
+    Args:
+        plan: the project's signals.
+        runs: the logs, for the ranges of temperature, loads and channels.
+        order: the catalogue's order.
+        one: terms and coefficients of a model.
+        other: the same of another.
+        noise: [K] RMS.
+
+    Returns:
+        None where no experiment on the menu would separate them.
+    """
+    lowest = min(float(run.temperature_degC.min()) for run in runs)
+    highest = max(float(run.temperature_degC.max()) for run in runs)
+    found: list[tuple[Experiment, float]] = []
+    for experiment in list_experiments(lowest, highest):
+        if any(channel not in plan.channels for channel in experiment.channel_share):
+            continue
+        if experiment.load_share.any() and not plan.loaded:
+            continue
+        signals = _simulate(experiment, plan, runs)
+        difference = _predict(signals, plan, order, *one) - _predict(signals, plan, order, *other)
+        difference -= difference.mean(axis=0)
+        apart = float(np.sqrt(np.mean((difference / noise) ** 2)))
+        found.append((experiment, apart))
+    most = max((apart for _, apart in found), default=0.0)
+    if most < WORTHWHILE:
+        return None
+    # Of experiments that tell about as much, the one that moves least is the easiest.
+    return min(
+        (entry for entry in found if entry[1] >= NEARLY * most),
+        key=lambda entry: (entry[0].effort, -entry[1]),
+    )
+
+
+def _simulate(experiment: Experiment, plan: SignalPlan, runs: Sequence[Run]) -> Signals[Array]:
+    """Return the signals of an experiment at one sample per second."""
+    elapsed_s = np.arange(STEPS, dtype=np.float64)
+    load = {}
+    for name in plan.loaded:
+        k = plan.outputs.index(name)
+        largest = max((run.reference[:, k] for run in runs), key=lambda x: float(np.abs(x).max()))
+        load[name] = experiment.load_share * float(largest[np.abs(largest).argmax()])
+    channels = {}
+    for name in plan.channels:
+        low = min(float(run.inputs[name].min()) for run in runs)
+        high = max(float(run.inputs[name].max()) for run in runs)
+        middle = np.full(STEPS, 0.5)
+        channels[name] = low + (high - low) * experiment.channel_share.get(name, middle)
+    return Signals(
+        temperature_degC=experiment.temperature_degC,
+        elapsed_s=elapsed_s,
+        clock_s=elapsed_s,
+        load=load,
+        saturated={name: np.zeros(STEPS) for name in plan.saturated},
+        channels=channels,
+        outputs=plan.outputs,
+        full_scale=dict(zip(plan.outputs, plan.full_scale, strict=True)),
+        reference_temperature_degC=plan.reference_temperature_degC,
+    )
+
+
+def _predict(
+    signals: Signals[Array],
+    plan: SignalPlan,
+    order: Sequence[str],
+    terms: Sequence[Term],
+    solution: Solution,
+) -> Array:
+    """Return the drift [n, K] that a model predicts for simulated signals."""
+    plan = replace(plan, sample_period_s=1.0)
+    ops = NumpyOperations(plan.sample_period_s, signals.temperature_degC.shape)
+    features = build_features(ops, signals, terms, order)[1:]
+    total = np.zeros((STEPS, len(plan.outputs)))
+    for feature, row in zip(features, solution.coefficients.T, strict=True):
+        total += feature.signal[:, None] * row
+    return total
+
+
+# Figures of a diagnosis turned into probabilities, by logistic maps fitted on simulated cases.
+#
+# The maps are data: `probability.txt` beside this file, written by `python -m
+# benchmarks.study_probability fit`, which says on how many cases of which kind. So the base rates
+# are those of these cases, and a probability holds for logs like theirs.
+
+MAPS = Path(__file__).with_name("probability.txt")
+CANDIDATE, NOTHING, ELSE = "candidate", "nothing_missing", "something_else"
+LEAST, MOST = 0.001, 0.999
+"""No map that was fitted on some hundred cases can tell a smaller or a larger probability."""
+MOST_DECADES = 3.6
+
+
+@dataclass(frozen=True)
+class ProbabilityMap:
+    """A logistic map: weights [P] of the figures, the constant first."""
+
+    name: str
+    weights: tuple[float, ...]
+
+    def apply(self, figures: Sequence[float]) -> float:
+        """Return the probability that belongs to a diagnosis's figures [P]."""
+        exponent = float(np.clip(np.dot(self.weights, figures), -20.0, 20.0))
+        return float(np.clip(1.0 / (1.0 + np.exp(-exponent)), LEAST, MOST))
+
+
+@lru_cache(maxsize=1)
+def load_maps() -> dict[str, ProbabilityMap]:
+    """Return the fitted maps by name."""
+    maps = {}
+    for line in MAPS.read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            name, *weights = line.split()
+            maps[name] = ProbabilityMap(name, tuple(float(w) for w in weights))
+    return maps
+
+
+def list_candidate_figures(diagnosis: Diagnosis, candidate: CandidateReport) -> list[float]:
+    """Return what tells whether a candidate is missing: its standing, its gain, its share."""
+    named = candidate.effect == diagnosis.effect
+    beside = candidate.effect in diagnosis.also
+    alike = candidate.effect in diagnosis.lookalikes
+    nearest = candidate.effect == diagnosis.nearest
+    return [
+        1.0,
+        float(named),
+        float(beside),
+        float(alike),
+        float(nearest),
+        float(diagnosis.effect is not None),
+        float(np.log1p(max(candidate.nats, 0.0))) * float(candidate.sound),
+        candidate.explained * float(candidate.sound),
+        min(-float(np.log10(max(candidate.p_value, 1e-9))), MOST_DECADES),
+    ]
+
+
+def list_case_figures(diagnosis: Diagnosis) -> list[float]:
+    """Return what tells whether anything is missing, and whether the named effect is all of it."""
+    best = max((c.nats for c in diagnosis.candidates if c.sound), default=0.0)
+    return [
+        1.0,
+        float(diagnosis.verdict == "missing"),
+        float(diagnosis.verdict == "unknown"),
+        float(bool(diagnosis.also)),
+        float(np.log(max(diagnosis.floor_ratio_before, 1e-3))),
+        float(np.log(max(diagnosis.floor_ratio_after, 1e-3))),
+        float(diagnosis.noise_floor_source == "dwell"),
+        float(np.log1p(max(best, 0.0))),
+    ]
+
+
+def tell_probabilities(diagnosis: Diagnosis) -> Diagnosis:
+    """Return the diagnosis with its probabilities."""
+    maps = load_maps()
+    figures = list_case_figures(diagnosis)
+    nothing = maps[NOTHING].apply(figures)
+    beside = maps[ELSE].apply(figures) if diagnosis.effect is not None else 1.0 - nothing
+    candidates = tuple(
+        replace(c, probability=maps[CANDIDATE].apply(list_candidate_figures(diagnosis, c)))
+        for c in diagnosis.candidates
+    )
+    return replace(diagnosis, candidates=candidates, nothing_missing=nothing, something_else=beside)
+
 
 WANTED_RUNS = 8
 

@@ -14,8 +14,8 @@ from scipy.special import stdtr
 
 from zerodrift.base.arrays import Array
 from zerodrift.physics.campaign import Sums
-from zerodrift.physics.octaves import MEANS
-from zerodrift.physics.projection import Coordinate, invert_scaled, solve, step_values, weigh
+from zerodrift.physics.reduction import MEANS
+from zerodrift.physics.search import Coordinate, invert_scaled, solve, step_values, weigh
 
 FOLD_STEPS = 2
 """Gauss-Newton steps of the shared values within each fold, from the optimum over all runs."""

@@ -28,8 +28,14 @@ from zerodrift.diagnosis.noise import Noise, measure_noise
 from zerodrift.diagnosis.span import measure_span
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.projection import get_coordinates, list_coordinates
-from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
+from zerodrift.physics.search import (
+    Found,
+    get_coordinates,
+    list_coordinates,
+    search,
+    search_beyond_rails,
+    sum_with_slopes,
+)
 from zerodrift.physics.signals import SignalPlan
 from zerodrift.physics.terms import Term
 from zerodrift.physics.tracks import build_stretches

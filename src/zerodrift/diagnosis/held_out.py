@@ -7,16 +7,20 @@ coefficients are then solved exactly at the moved values.
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zerodrift.base.arrays import Array
+from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.run_errors import RunError, collect_errors
 from zerodrift.physics.campaign import Sums
+from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Feature
+from zerodrift.physics.fit import fit
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.projection import (
+from zerodrift.physics.search import (
     Coordinate,
     get_coordinates,
     invert_scaled,
@@ -273,3 +277,29 @@ def _build(
         for run, columns in zip(runs, built, strict=True)
     ]
     return tuple(built[-1]), np.concatenate(values)
+
+
+# The errors that one model, fitted as it ships, makes on runs that it was not fitted to.
+
+
+def leave_out(
+    effects: Sequence[EffectConfig], dataset: Dataset, catalogue: Catalogue
+) -> tuple[str, dict[str, RunError]]:
+    """Return how training runs were left out, and the errors on each of them.
+
+    Args:
+        effects: the `[[effect]]` tables of the model, fitted by plain least squares.
+        dataset: its runs; only the training runs are used.
+        catalogue: the known effects.
+    """
+    model = fit(
+        effects,
+        dataset.train,
+        outputs=dataset.outputs,
+        units=dataset.units,
+        full_scale=dataset.full_scale,
+        catalogue=catalogue,
+    )
+    held_out = hold_out(model, replace(dataset, test=()))
+    errors = collect_errors(dataset.train, held_out.predictions, model.tared, model.find_usable)
+    return held_out.method, errors

@@ -11,7 +11,7 @@ from zerodrift.diagnosis.evidence import SURE_NATS, Errors, compare_likelihoods
 from zerodrift.diagnosis.held_out import BLOCKS, BLOCKS_OF_ONE_RUN, HeldOut
 from zerodrift.diagnosis.run_errors import RunError, pool_rmse, pool_steady_rmse
 from zerodrift.physics.model import PhysicalModel
-from zerodrift.physics.octaves import MEANS, cut_octaves
+from zerodrift.physics.reduction import MEANS, cut_octaves
 
 IntArray = NDArray[np.int64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
-from zerodrift.physics.octaves import MEANS, WITHIN_BLOCKS, cut_octaves
+from zerodrift.physics.reduction import MEANS, WITHIN_BLOCKS, cut_octaves
 
 PRIOR_COUNT = 2.0
 """Coefficients that the mean over all octaves counts for, at the start of the fit."""

@@ -15,7 +15,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.changes import extend_model
 from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.diagnosis.left_out import leave_out
+from zerodrift.diagnosis.held_out import leave_out
 from zerodrift.diagnosis.run_errors import pool_rmse, pool_steady_rmse
 from zerodrift.physics.catalogue import Catalogue
 

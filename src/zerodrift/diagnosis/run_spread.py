@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.diagnosis.summary import ComparisonSummary
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,18 @@ from zerodrift.diagnosis.noise import Noise
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import FEWEST_RUNS, Effect, Values
 from zerodrift.physics.fit import estimate_errors
-from zerodrift.physics.projection import (
+from zerodrift.physics.search import (
     Coordinate,
+    Found,
+    assess,
     get_coordinates,
     list_coordinates,
+    search,
     set_coordinates,
     solve,
+    sum_with_slopes,
     weigh,
 )
-from zerodrift.physics.search import Found, assess, search, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing
 from zerodrift.physics.terms import Term, start_term
 

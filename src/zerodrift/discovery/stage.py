@@ -14,7 +14,7 @@ from zerodrift.base.arrays import Array
 from zerodrift.discovery.contenders import Scene
 from zerodrift.discovery.programme import Log, PlannedCourse
 from zerodrift.physics.effect import Signals
-from zerodrift.physics.octaves import MEANS, Octaves, cut_octaves
+from zerodrift.physics.reduction import MEANS, Octaves, cut_octaves
 
 POWERED_EARLIER_S = 7200.0
 

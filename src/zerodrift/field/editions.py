@@ -5,8 +5,8 @@ from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.editions import Edition, load_units, read_edition
+from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
-from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 
 Editions = Mapping[str, tuple[Edition, ...]]
 """Serial number -> editions of its blocks."""

@@ -10,8 +10,7 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import write_whole
-from zerodrift.base.records import from_json, to_dict
-from zerodrift.base.sealed import read_format, read_sealed, render_sealed
+from zerodrift.base.records import from_json, read_format, read_sealed, render_sealed, to_dict
 from zerodrift.field.watch import BlockMeans, ChangeFound, Learned
 
 FORMAT = 1

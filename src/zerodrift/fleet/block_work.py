@@ -11,8 +11,7 @@ import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import render_sealed, to_dict
 from zerodrift.blocks.block import BlockNotes, encode
 from zerodrift.blocks.design import BlockDesign
 from zerodrift.blocks.editions import Edition, number_block
@@ -22,8 +21,6 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.export.compose import describe_compensator
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.fleet.assess import add_firmware
-from zerodrift.fleet.batch import UnitBatch, check_bits
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import (
     RESULT,
@@ -34,8 +31,17 @@ from zerodrift.fleet.result import (
     save_result,
 )
 from zerodrift.fleet.sensors import configure_sensor
-from zerodrift.fleet.spool import Spooled, unspool
-from zerodrift.fleet.work import MODEL, PARAMETERS, describe_sensor, refuse_unit_data
+from zerodrift.fleet.work import (
+    MODEL,
+    PARAMETERS,
+    Spooled,
+    UnitBatch,
+    add_firmware,
+    check_bits,
+    describe_sensor,
+    refuse_unit_data,
+    unspool,
+)
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.verify.gate import judge_firmware

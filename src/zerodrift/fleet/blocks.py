@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zerodrift.base.errors import CheckError, InputError
-from zerodrift.base.files import make_directory
+from zerodrift.base.files import MANIFEST, list_own, make_directory, refuse_foreign, render_manifest
 from zerodrift.base.journal import write_all
-from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 from zerodrift.blocks.design import FILE_NAME, PROGRAM, BlockDesign, load_design, make_design
 from zerodrift.blocks.editions import FILE_NAME as UNITS
 from zerodrift.blocks.editions import number_block, render_units

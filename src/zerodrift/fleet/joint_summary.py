@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from zerodrift.fleet.differing import Difference
-from zerodrift.fleet.evidence import FEWEST_UNITS, JointFindings, Pooled
+from zerodrift.fleet.evidence import FEWEST_UNITS, Difference, JointFindings, Pooled
 from zerodrift.fleet.outliers import FEWEST
 
 

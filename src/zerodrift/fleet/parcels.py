@@ -17,15 +17,14 @@ from typing import TYPE_CHECKING
 from zerodrift import __version__
 from zerodrift.base.config import USES
 from zerodrift.base.errors import CheckError
+from zerodrift.base.files import refuse_foreign
 from zerodrift.base.fleet_config import URL
 from zerodrift.base.journal import gather_changes, write_all
-from zerodrift.base.ownership import refuse_foreign
 from zerodrift.dataset.selectors import JOINT, expand_selectors
-from zerodrift.fleet.batch import UnitBatch
 from zerodrift.fleet.design import Design, Origin
 from zerodrift.fleet.result import SensorOutcome
-from zerodrift.fleet.sensors import SELECTOR_SUFFIX, configure_sensor, names_urls
-from zerodrift.fleet.stores import fetch
+from zerodrift.fleet.sensors import SELECTOR_SUFFIX, configure_sensor, fetch, names_urls
+from zerodrift.fleet.work import UnitBatch
 
 if TYPE_CHECKING:
     from zerodrift.fleet.block_work import BlockRun

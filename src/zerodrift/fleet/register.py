@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from zerodrift.field.registry import Registry, open_registry
-from zerodrift.field.registry_file import FILE_NAME
+from zerodrift.field.registry import FILE_NAME, Registry, open_registry
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.parcels import at_hand
 from zerodrift.fleet.result import SensorOutcome, SensorResult

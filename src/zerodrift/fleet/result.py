@@ -1,4 +1,4 @@
-"""The result of one sensor of a fleet, and the file that keeps it."""
+"""The result of one sensor of a fleet: its errors, and the file that keeps it."""
 
 import hashlib
 import math
@@ -9,9 +9,10 @@ from typing import ClassVar
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.base.records import MEASURED, from_json, to_dict
-from zerodrift.base.sealed import read_sealed, render_sealed
+from zerodrift.base.records import MEASURED, from_json, read_sealed, render_sealed, to_dict
 from zerodrift.export.integer_model import IntegerModel
+
+# The result of one sensor of a fleet, and the file that keeps it.
 
 FORMAT = 4
 """Of result.json; another one is computed anew."""

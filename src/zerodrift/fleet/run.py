@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from zerodrift.base.config import locate_key
 from zerodrift.base.errors import InputError, ZerodriftError
+from zerodrift.base.files import refuse_foreign
 from zerodrift.base.fleet_config import PLACEHOLDER, SHARED_RUNTIME
 from zerodrift.base.journal import write_all
-from zerodrift.base.ownership import refuse_foreign
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.identifiers import sanitize_prefix
 from zerodrift.fleet.design import Design

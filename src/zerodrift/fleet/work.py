@@ -1,55 +1,329 @@
 """A few sensors from logs to checked C, in one process; a failure of one does not stop the
-others."""
+others.
+"""
 
 import json
+import pickle
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import numpy as np
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, ZerodriftError
+from zerodrift.base.files import explain_refusal, refuse_foreign
 from zerodrift.base.fleet_config import SHARED_RUNTIME
-from zerodrift.base.ownership import refuse_foreign
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import render_sealed, to_dict
 from zerodrift.c_runtime.compilers import find_compiler, list_runtime
-from zerodrift.c_runtime.host import HostModel
-from zerodrift.c_runtime.host_batch import build_host_batch
+from zerodrift.c_runtime.host import HostModel, build_host_batch
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
+from zerodrift.diagnosis.floor import measure_floor
+from zerodrift.diagnosis.held_out import TEST_LOGS, HeldOut, hold_out
 from zerodrift.diagnosis.referee import explain_refusals, find_refusals
+from zerodrift.diagnosis.run_errors import collect_errors, pool_rmse
 from zerodrift.export.compose import compose_quantized, describe_compensator
 from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import FORCED, IntegerModel
-from zerodrift.fleet.assess import assess, describe_parameters
-from zerodrift.fleet.batch import UnitBatch, check_bits, explain_unforeseen
 from zerodrift.fleet.design import Design
-from zerodrift.fleet.result import SensorOutcome, SensorResult, save_result
+from zerodrift.fleet.result import (
+    OutputResult,
+    ParameterResult,
+    SensorOutcome,
+    SensorResult,
+    save_result,
+)
 from zerodrift.fleet.sensors import configure_sensor
-from zerodrift.fleet.spool import Spooled, leave_out_quickly, spool
 from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.compensator import Compensator
+from zerodrift.train.prepare import Handling
 from zerodrift.train.refits import Original
 from zerodrift.train.scores import Trained
-from zerodrift.train.tasks import Handling
 from zerodrift.train.training import train_together
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.chip_error import ChipReplay
-from zerodrift.verify.firmware import certify_checked
+from zerodrift.verify.firmware import certify_checked, list_sequences
 from zerodrift.verify.gate import GateVerdict, judge_firmware
-from zerodrift.verify.left_out import LeftOut, choose_judge, leave_out_together, takes_epochs
+from zerodrift.verify.host_check import check_host, check_starts
+from zerodrift.verify.left_out import (
+    LeftOut,
+    choose_judge,
+    leave_out,
+    leave_out_together,
+    takes_epochs,
+)
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 from zerodrift.verify.manifest import write_manifest
 from zerodrift.verify.summary import Statement, state_notes
 from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
 from zerodrift.verify.uncertainty import measure_firmware
+
+# One sensor's errors held out, beside its noise floor, and the values it is compared by.
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Errors of one sensor by output, and what they mean."""
+
+    outputs: dict[str, OutputResult]
+    held_out: str
+    floor: str
+
+
+def assess(
+    trained: Trained,
+    dataset: Dataset,
+    replay: ChipReplay | None = None,
+) -> Figures:
+    """Return the held-out errors of a sensor.
+
+    Args:
+        trained: its compensator, and the errors that training measured.
+        dataset: its logs.
+        replay: the firmware over the test runs, or the training runs where there are none; None
+            without firmware.
+    """
+    compensator = trained.compensator
+    tared, usable = compensator.tared, compensator.physics.find_usable
+    runs = [*dataset.train, *dataset.test]
+    floor = measure_floor(dataset)
+    scores = trained.scores
+    held_out = _hold_out(compensator, dataset)
+    if held_out is None:
+        rmse, none = scores.held_out.compensated, scores.held_out.uncompensated
+        method = scores.explanation
+    else:
+        predictions = held_out.predictions
+        zeros = {name: np.zeros_like(p) for name, p in predictions.items()}
+        rmse, none = (
+            pool_rmse(list(collect_errors(runs, p, tared, usable).values()))
+            for p in (predictions, zeros)
+        )
+        method = held_out.explain()
+    outputs = {
+        name: OutputResult(
+            dataset.units[k], float(none[k]), float(rmse[k]), None, float(floor.rms[k])
+        )
+        for k, name in enumerate(dataset.outputs)
+    }
+    if replay is not None:
+        outputs = add_firmware(outputs, compensator, dataset, replay)
+    return Figures(outputs, method, floor.source)
+
+
+def add_firmware(
+    outputs: Mapping[str, OutputResult],
+    compensator: Compensator,
+    dataset: Dataset,
+    replay: ChipReplay,
+) -> dict[str, OutputResult]:
+    """Return the errors of a sensor with those of its firmware beside them.
+
+    Args:
+        outputs: by name, without firmware.
+        compensator: the sensor's.
+        dataset: its logs.
+        replay: the firmware over the test runs, or the training runs where there are none.
+    """
+    of_integer: list[float | None] = [None] * len(dataset.outputs)
+    if dataset.test:
+        integer = {replayed.run.name: replayed.chip for replayed in replay.runs}
+        tared, usable = compensator.tared, compensator.physics.find_usable
+        errors = collect_errors(dataset.test, integer, tared, usable)
+        of_integer = [float(x) for x in pool_rmse(list(errors.values()))]
+    return {
+        name: replace(outputs[name], rmse_integer=own, chip_error=asdict(causes))
+        for name, own, causes in zip(dataset.outputs, of_integer, replay.split(), strict=True)
+    }
+
+
+def _hold_out(compensator: Compensator, dataset: Dataset) -> HeldOut | None:
+    """Return held-out predictions; None where only training itself could make them."""
+    if dataset.test:
+        predictions = {run.name: compensator.predict(run) for run in dataset.test}
+        return HeldOut(TEST_LOGS, predictions)
+    if compensator.front_end is not None:
+        return None
+    return hold_out(compensator.physics, dataset)
+
+
+def describe_parameters(compensator: Compensator) -> dict[str, ParameterResult]:
+    """Return the fitted values by which sensors of one design are compared.
+
+    A choice, such as an order, and a value held by the user are the design's and not among them.
+    """
+    physics = compensator.physics
+    found = {}
+    for fitted in physics.terms:
+        for parameter in fitted.term.free:
+            name = parameter.name
+            found[f"{fitted.term.name}.{name}"] = ParameterResult(
+                float(fitted.term.values[name]),
+                float(fitted.std_errors.get(name, 0.0)),
+                parameter.unit,
+                parameter.scale == "log",
+            )
+    for j, feature in enumerate(physics.feature_names):
+        for k, output in enumerate(physics.outputs):
+            found[f"{output} {feature}"] = ParameterResult(
+                float(physics.coefficients[j, k]),
+                float(physics.std_errors[j, k]),
+                _divide(physics.units[k], physics.feature_units[j]),
+            )
+    return found
+
+
+def _divide(unit: str, by: str) -> str:
+    """Return the unit of a coefficient."""
+    if by in ("", "1"):
+        return unit
+    return f"{unit}/{by}" if by.isalnum() else f"{unit}/({by})"
+
+
+# What the first pass over a fleet with blocks leaves for the second, beside the units' files.
+
+
+@dataclass(frozen=True)
+class Spooled:
+    """What would have to be read or computed again."""
+
+    mark: str
+    """Of the design and of the unit's logs."""
+    dataset: Dataset
+    left_out: LeftOut | None
+    model: IntegerModel | None = None
+    """In its own format; None: it has to be loaded."""
+
+
+def spool(folder: Path | None, sensor: str, content: Spooled) -> None:
+    """Keep what the second pass needs, if this process can reach a place with room for it."""
+    if folder is None or not folder.is_dir():
+        return
+    path = folder / f"{sensor}.pickle"
+    try:
+        path.write_bytes(pickle.dumps(content, protocol=5))
+    except OSError:  # the second pass reads the logs again
+        path.unlink(missing_ok=True)
+
+
+def unspool(
+    design: Design, config: Config, sensor: str, compensator: Compensator, mark: str
+) -> Spooled:
+    """Return what was kept of a unit; where nothing was, logs are read and runs left out again.
+
+    Args:
+        design: has the spool, a folder of this run that nobody else can write to.
+        config: the unit's.
+        sensor: its name.
+        compensator: what was fitted to its training runs.
+        mark: of the design and of its logs.
+    """
+    path = None if design.spool is None else design.spool / f"{sensor}.pickle"
+    if path is not None and path.is_file():
+        kept: Spooled = pickle.loads(path.read_bytes())  # noqa: S301 - this run's own file
+        if kept.mark == mark:
+            return kept
+    dataset = load_dataset(config, design.skip_invalid)
+    if not takes_epochs(compensator):
+        return Spooled(mark, dataset, leave_out_quickly(design, config, dataset, compensator))
+    found = None
+    if design.uncertainty:
+        handling = Handling(device=design.device)
+        (found,) = leave_out_together([Original(config, dataset, compensator)], handling)
+    return Spooled(mark, dataset, found if isinstance(found, LeftOut) else None)
+
+
+def leave_out_quickly(
+    design: Design, config: Config, dataset: Dataset, compensator: Compensator
+) -> LeftOut | None:
+    """Return what models say of training runs that they did not learn from, of what is fitted.
+
+    The gate asks for it where there are no test logs, the uncertainty always.
+    """
+    wanted = replace(dataset, test=()) if design.uncertainty else dataset
+    return leave_out(config, wanted, compensator)
+
+
+# Units that are worked on one after the other in one process, and the comparison of their bits.
+
+UNFORESEEN = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
+"""What a sensor's logs might raise that nobody thought of: told in its name, others go on."""
+RANDOM_STEPS = 5000
+"""Drawn inputs beside the logs: noise, jumps, the rails, a walk, a dwell."""
+START_STEPS = 4
+"""Each sequence is begun on its own for these steps, from rest and from cold; then all of them run
+one after the other, which gives the state jumps to live through as well."""
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class UnitBatch:
+    """The sensors of a batch; one that fails leaves it with its message."""
+
+    def __init__(self, sensors: Sequence[str]) -> None:
+        self.sensors = sensors
+        self.outcomes: dict[str, SensorOutcome] = {}
+
+    def attempt(
+        self, sensor: str, work: Callable[P, T], *args: P.args, **named: P.kwargs
+    ) -> T | None:
+        """Return what `work` returns, or None once its failure is noted."""
+        try:
+            return work(*args, **named)
+        except ZerodriftError as error:
+            self.fail(sensor, str(error))
+        except UNFORESEEN as error:
+            self.fail(sensor, explain_unforeseen(error))
+        return None
+
+    def fail(self, sensor: str, message: str) -> None:
+        """Note why a sensor has no result."""
+        self.outcomes[sensor] = SensorOutcome(sensor, None, message)
+
+    def list(self) -> list[SensorOutcome]:
+        """Return the outcomes in the sensors' order."""
+        return [self.outcomes[sensor] for sensor in self.sensors]
+
+
+def explain_unforeseen(error: Exception) -> str:
+    """Return the message for an error that is none of zerodrift's own."""
+    told = explain_refusal(error) if isinstance(error, OSError) else None
+    return told or f"unforeseen {type(error).__name__}: {error}. Please report it."
+
+
+def check_bits(host: HostModel, dataset: Dataset) -> int:
+    """Return the steps at which the C was equal to the reference: drift, flags and states.
+
+    Raises:
+        CheckError: they differ, or the model's own self-test fails.
+    """
+    sequences = list_sequences(host.model, dataset, random_steps=RANDOM_STEPS)
+    everything = np.concatenate(list(sequences.values()))
+    vectors = 0
+    for outcome in (
+        check_starts(host, sequences, START_STEPS, settled=True),
+        check_starts(host, sequences, START_STEPS, settled=False),
+        check_host(host, everything, settled=True),
+    ):
+        if outcome.mismatch is not None:
+            raise CheckError(
+                f"the C differs from the reference: {outcome.mismatch}."
+                " Nothing written for this sensor."
+            )
+        vectors += outcome.steps
+    if host.selftest() != 0:
+        raise CheckError("the generated self-test fails on this host. Nothing written.")
+    return vectors
+
 
 PARAMETERS, MODEL = "parameters.json", "model.json"
 

@@ -1,8 +1,12 @@
 """Fits a physical model to runs: parameters, coefficients, their errors, and what is
-undetermined."""
+undetermined.
+"""
 
+import weakref
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
@@ -11,27 +15,103 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.physics import known_fits
-from zerodrift.physics.arrivals import note_arrivals
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.live import find_live
 from zerodrift.physics.model import FittedTerm, PhysicalModel
-from zerodrift.physics.projection import (
+from zerodrift.physics.run_offsets import follows_clock_alone, measure_clock_trend
+from zerodrift.physics.search import (
     Coordinate,
+    Found,
     Solution,
     get_coordinates,
     invert_scaled,
     list_coordinates,
+    note_arrivals,
+    search,
+    search_beyond_rails,
     slope_directions,
     solve,
+    sum_with_slopes,
     weigh,
 )
-from zerodrift.physics.run_offsets import follows_clock_alone, measure_clock_trend
-from zerodrift.physics.search import Found, search, search_beyond_rails, sum_with_slopes
 from zerodrift.physics.signals import SignalPlan, explain_missing, plan_signals, read_signals
 from zerodrift.physics.terms import OFFSET, Term, start_term, tidy_terms
 from zerodrift.physics.tracks import build_stretches
+
+if TYPE_CHECKING:
+    from zerodrift.physics.campaign import Campaign
+
+
+# The last few fits, so that a model is not fitted again that was just fitted to the same runs.
+#
+# Errors left out, the diagnosis and the curves of an effect each ask for the fit of the model as it
+# is; a fit is a function of its question alone.
+
+MOST_KNOWN = 8
+
+
+@dataclass(frozen=True)
+class FitQuestion:
+    """What is fitted to what: effects by their tables, runs and catalogue by their identity."""
+
+    effects: tuple[EffectConfig, ...]
+    names: tuple[tuple[str, ...], tuple[str, ...], tuple[float, ...]]
+    """Outputs, their units, their full scales."""
+    runs: tuple["weakref.ref[Run]", ...]
+    """Kept no longer than others keep them, and so is the catalogue."""
+    catalogue: "weakref.ref[Catalogue]"
+
+    def is_same(self, other: "FitQuestion") -> bool:
+        """Return whether both ask for one fit; what is gone is the same as nothing."""
+        return (
+            self.effects == other.effects
+            and self.names == other.names
+            and len(self.runs) == len(other.runs)
+            and all(
+                one() is not None and one() is another()
+                for one, another in zip(self.runs, other.runs, strict=True)
+            )
+            and self.catalogue() is not None
+            and self.catalogue() is other.catalogue()
+        )
+
+
+_KNOWN: deque[tuple[FitQuestion, PhysicalModel]] = deque(maxlen=MOST_KNOWN)
+
+
+def ask(
+    effects: Sequence[EffectConfig],
+    runs: Sequence[Run],
+    names: tuple[Sequence[str], Sequence[str], Sequence[float]],
+    catalogue: Catalogue,
+) -> FitQuestion:
+    """Return the question of a fit.
+
+    Args:
+        effects: the `[[effect]]` tables.
+        runs: the training runs.
+        names: outputs, their units, their full scales.
+        catalogue: the known effects.
+    """
+    outputs, units, scales = names
+    return FitQuestion(
+        tuple(effects),
+        (tuple(outputs), tuple(units), tuple(scales)),
+        tuple(weakref.ref(run) for run in runs),
+        weakref.ref(catalogue),
+    )
+
+
+def recall(question: FitQuestion) -> PhysicalModel | None:
+    """Return the model that was fitted to the same question, if it is known."""
+    return next((model for known, model in list(_KNOWN) if known.is_same(question)), None)
+
+
+def keep(question: FitQuestion, model: PhysicalModel) -> None:
+    """Keep a fit."""
+    _KNOWN.append((question, model))
+
 
 TARE_RATIO = 1.25
 """Runs have offsets of their own where these lower the squared error by more than this factor, and
@@ -93,8 +173,8 @@ def fit(
         start: an earlier fit to start from, which saves the search over typical ranges.
     """
     catalogue = catalogue or load_catalogue()
-    question = known_fits.ask(effects, runs, (outputs, units, full_scale), catalogue)
-    known = known_fits.recall(question) if start is None else None
+    question = ask(effects, runs, (outputs, units, full_scale), catalogue)
+    known = recall(question) if start is None else None
     if known is not None:
         return known
     plan = plan_signals(runs, outputs, full_scale)
@@ -104,7 +184,7 @@ def fit(
         terms = _take_values(terms, start)
     model = fit_terms(terms, runs, plan, units, list(catalogue), search_starts=start is None)
     if start is None:
-        known_fits.keep(question, model)
+        keep(question, model)
     return model
 
 

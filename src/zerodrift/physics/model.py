@@ -7,15 +7,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
+from zerodrift.base.records import OPTIONAL
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.graph import Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
-from zerodrift.physics.model_record import ModelRecord, TermRecord
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
 from zerodrift.physics.terms import Term, begin_at_rest, build_features, list_defaults
 from zerodrift.physics.tracks import build_stretches
+
+# The physical model as compensator.json holds it.
+
+
+@dataclass(frozen=True)
+class TermRecord:
+    """One effect of a fitted model; see `FittedTerm` and `Term`."""
+
+    kind: str
+    signal: str
+    values: Mapping[str, float]
+    held: frozenset[str]
+    std_errors: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    at_bound: tuple[str, ...]
+    arrivals: Mapping[str, int] = field(default_factory=dict, metadata=OPTIONAL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRecord:
+    """A fitted model; see `PhysicalModel` and `SignalPlan`."""
+
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    full_scale: tuple[float, ...]
+    sample_period_s: float
+    loaded: tuple[str, ...]
+    saturated: tuple[str, ...]
+    channels: tuple[str, ...]
+    reference_temperature_degC: float
+    clock_origin_s: float
+    starts_at_first_row: bool = False
+    terms: tuple[TermRecord, ...]
+    feature_names: tuple[str, ...]
+    feature_units: tuple[str, ...]
+    coefficients: Array
+    std_errors: Array
+    offsets: Mapping[str, Array]
+    tared: bool
+    notes: tuple[str, ...]
+    order: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from typing import Protocol
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import RECORD_CAN, RECORD_DBC, require
-from zerodrift.recording.lines import Values
-from zerodrift.recording.sources import Reading, SourceText, now_s
+from zerodrift.recording.sources import Reading, SourceText, Values, now_s
 
 
 class _Message(Protocol):

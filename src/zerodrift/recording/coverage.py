@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from zerodrift.recording.lines import Values
+from zerodrift.recording.sources import Values
 
 RATE_OVER_S = 60.0
 """A rate is the difference over this time; shorter ones are the thermometer's noise."""

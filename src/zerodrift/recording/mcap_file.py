@@ -18,8 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.formats.mcap_log import EXPECTED, MessageReader
 from zerodrift.dataset.formats.tables import read_numbers
-from zerodrift.recording.lines import Values
-from zerodrift.recording.sources import Reading, SourceText
+from zerodrift.recording.sources import Reading, SourceText, Values
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")

@@ -6,8 +6,7 @@ from importlib import import_module
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import RECORD_MQTT, require
-from zerodrift.recording.lines import LineError, LineReader, Values
-from zerodrift.recording.sources import Reading, SourceText, now_s
+from zerodrift.recording.sources import LineError, LineReader, Reading, SourceText, Values, now_s
 
 CONNECT_S = 5.0
 

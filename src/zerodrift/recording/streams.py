@@ -1,4 +1,4 @@
-"""Sources of lines: a serial port, a command's output, standard input."""
+"""Sources of lines, and the values in each line by name."""
 
 import queue
 import shlex
@@ -11,8 +11,7 @@ from importlib import import_module
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import RECORD_SERIAL, require
-from zerodrift.recording.lines import LONGEST, LineError, LineReader
-from zerodrift.recording.sources import Reading, now_s
+from zerodrift.recording.sources import LONGEST, LineError, LineReader, Reading, now_s
 
 GRACE_S = 2.0
 """For a command to end after it was asked to."""

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
-from zerodrift.base.scratch import make_scratch
+from zerodrift.base.lock import make_scratch
 from zerodrift.report.page import render_template
-from zerodrift.report.plot import Picture
-from zerodrift.report.svg import render_svg
+from zerodrift.report.svg import Picture, render_svg
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

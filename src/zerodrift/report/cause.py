@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
-from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.drivers import (
     LAG,
     RATE,
@@ -24,9 +23,10 @@ from zerodrift.diagnosis.drivers import (
     read_driver,
     suspect,
 )
+from zerodrift.diagnosis.summary import ComparisonSummary
 from zerodrift.report.cause_place import MARGIN_LEFT, lay_out_cause
 from zerodrift.report.findings import MOVING_SHARE, Findings, Trace, find_threshold
-from zerodrift.report.plot import (
+from zerodrift.report.svg import (
     AxisScale,
     Band,
     Cloud,
@@ -34,11 +34,17 @@ from zerodrift.report.plot import (
     Level,
     Panel,
     Picture,
+    measure_legend,
     spread,
 )
-from zerodrift.report.svg import measure_legend
-from zerodrift.report.thin import pick_rows, pick_spread
-from zerodrift.report.window import TimeAxis, Window, choose_clock, find_rows
+from zerodrift.report.window import (
+    TimeAxis,
+    Window,
+    choose_clock,
+    find_rows,
+    pick_rows,
+    pick_spread,
+)
 
 DRIFT, LEFT, EFFECT = "drift", "left", "effect"
 """Panes that show no channel: drift and model, what is left, what an effect would explain."""

@@ -17,13 +17,13 @@ from zerodrift.base.records import UNWRITTEN, from_json, to_dict
 from zerodrift.dataset.outliers import COUNTED
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.advice import Advice
-from zerodrift.diagnosis.comparison_summary import ComparisonSummary
 from zerodrift.diagnosis.contribution import Contribution
 from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
 from zerodrift.diagnosis.drivers import measure_slope
-from zerodrift.diagnosis.explained import ExplainedDiagnosis
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
+from zerodrift.diagnosis.summary import ComparisonSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.proposal import ProposedFormula

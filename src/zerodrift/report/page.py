@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from zerodrift.report.plot import Picture
-from zerodrift.report.svg import render_svg, write_colours, write_dark_colours
+from zerodrift.report.svg import Picture, render_svg, write_colours, write_dark_colours
 from zerodrift.report.tables import Table
 
 if TYPE_CHECKING:

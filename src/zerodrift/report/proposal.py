@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zerodrift.diagnosis.formula.curve import FormulaCurve
-from zerodrift.report.plot import AxisScale, Cloud, Curve, Panel, Picture, spread
+from zerodrift.diagnosis.formula.proposal import FormulaCurve
+from zerodrift.report.svg import AxisScale, Cloud, Curve, Panel, Picture, spread
 
 MOST_OUTPUTS = 6
 """Outputs that have a panel."""

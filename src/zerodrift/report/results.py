@@ -10,13 +10,17 @@ from typing import ClassVar
 
 from zerodrift.base.records import OPTIONAL, SCHEMA_KEY, from_json, get_schema_name
 from zerodrift.base.shown import Shown
-from zerodrift.calibration.summary import CalibrationSummary
-from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+from zerodrift.calibration.files import CalibrationSummary
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.diagnosis.formula.curve import FormulaCurve
+from zerodrift.diagnosis.formula.proposal import FormulaCurve
 from zerodrift.diagnosis.remainder import RemainderPattern
-from zerodrift.diagnosis.summary import AdviceSummary, RevisionSummary, StepSummary
+from zerodrift.diagnosis.summary import (
+    AdviceSummary,
+    ComparisonSummary,
+    RevisionSummary,
+    StepSummary,
+)
 from zerodrift.discovery.summary import PlanSummary
 from zerodrift.field.summary import (
     MonitorResult,
@@ -28,7 +32,7 @@ from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.fleet.summary import FleetSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import FittedCoefficient, ModelSummary, ParameterInterval
-from zerodrift.recording.summary import RecordingSummary
+from zerodrift.recording.status import RecordingSummary
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Provenance
 from zerodrift.train.scores import ContractingCost

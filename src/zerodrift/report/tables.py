@@ -3,22 +3,80 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 
-from zerodrift.dataset.time_units import is_unix, write_time
-from zerodrift.diagnosis.comparison_summary import ComparisonSummary
+import numpy as np
+
+from zerodrift.dataset.units import is_unix, write_time
 from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_spread import RmseSpread
+from zerodrift.diagnosis.summary import ComparisonSummary
 from zerodrift.physics.summary import ModelSummary
 from zerodrift.report.datasheet import DatasheetRow
-from zerodrift.report.findings import Provenance
-from zerodrift.report.parts import ReportPart
-from zerodrift.report.verdict import explain_standing
+from zerodrift.report.findings import Provenance, Trace
+from zerodrift.report.sentences import explain_standing
 from zerodrift.verify.summary import (
     CertificateSummary,
     ChipError,
+    ConversionSummary,
     FirmwareSummary,
+    ProvenError,
     StatedUncertainty,
 )
+
+# The curves along the runs as tables, part by part.
+
+MOST_PARTS = 10
+"""Of one run."""
+MOST_ROWS = 150
+"""Of all runs, as long as each of them has one part at least."""
+
+
+@dataclass(frozen=True)
+class ReportPart:
+    """A part of a run."""
+
+    run: str
+    from_s: float
+    """On the log's own clock."""
+    to_s: float
+    temperature_degC: float
+    """Mean."""
+    measured: float
+    """Mean drift, in the output's unit."""
+    model: float
+    """Mean."""
+    left: float
+    """Mean of what the model leaves."""
+    left_rms: float
+
+
+def list_parts(traces: Sequence[Trace], k: int) -> list[ReportPart]:
+    """Return the means of equal parts of each run, in order.
+
+    Args:
+        traces: the runs.
+        k: number of the output.
+    """
+    most = min(max(MOST_ROWS // max(len(traces), 1), 1), MOST_PARTS)
+    parts = []
+    for trace in traces:
+        count = trace.time_s.size
+        for rows in np.array_split(np.arange(count), min(most, count)):
+            measured, left = trace.drift[k, rows], trace.error[k, rows]
+            parts.append(
+                ReportPart(
+                    trace.run,
+                    float(trace.time_s[rows[0]]),
+                    float(trace.time_s[rows[-1]]),
+                    float(np.mean(trace.temperature_degC[rows])),
+                    float(np.mean(measured)),
+                    float(np.mean(measured - left)),
+                    float(np.mean(left)),
+                    float(np.sqrt(np.mean(np.square(left)))),
+                )
+            )
+    return parts
+
 
 MOST_DEGREES = 1000.0
 """Degrees of freedom from which on Student's quantile is the normal one."""
@@ -427,3 +485,46 @@ def tabulate_provenance(provenance: Provenance) -> tuple[Table, Table]:
         Table("Files", ("file", "use", "SHA-256, first 16 digits"), files, texts=3),
         Table("Versions", ("package", "version"), versions, texts=2),
     )
+
+
+# The report's table of inputs whose raw codes the chip converts.
+
+
+def tabulate_conversions(
+    conversions: Mapping[str, ConversionSummary], bounds: Mapping[str, ProvenError] | None
+) -> Table:
+    """Return what each conversion costs, beside the rest of the error budget.
+
+    Args:
+        conversions: input -> how its raw codes are converted; at least one.
+        bounds: output -> its proven bound, which holds the conversions' share.
+    """
+    rows = tuple(
+        (
+            name,
+            told.unit,
+            told.raw,
+            " to ".join(write_number(end) for end in told.covers),
+            write_number(told.error, 2),
+            write_number(told.lsb, 2),
+            " to ".join(write_number(worth, 2) for worth in told.code_worth),
+            str(told.table_bytes),
+        )
+        for name, told in conversions.items()
+    )
+    headings = (
+        *("input", "unit", "given", "covers", "largest error"),
+        *("one code of the result", "one raw code is worth", "table, B"),
+    )
+    shares = [
+        f"{name} {write_number(bound.causes.conversion, 2)} {bound.unit}"
+        for name, bound in (bounds or {}).items()
+        if bound.causes is not None
+    ]
+    note = (
+        "Largest error: to the sensor's formula over every code that is covered, rounding included."
+        " The worth of a raw code is the hardware's resolution; no arithmetic regains it."
+    )
+    if shares:
+        note += f" What conversions are of the proven bound: {', '.join(shares)}."
+    return Table("Conversion of raw codes", headings, rows, texts=4, note=note)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 from zerodrift.base.config import Config
 from zerodrift.base.files import NOT_THERE
-from zerodrift.base.records import Json, from_json
-from zerodrift.base.sealed import read_sealed
+from zerodrift.base.records import Json, from_json, read_sealed
 from zerodrift.verify.manifest import check_manifest
 from zerodrift.verify.summary import (
     REFUSED,

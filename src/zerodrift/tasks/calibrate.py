@@ -12,9 +12,13 @@ from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.calibration.files import render_header, render_json, render_toml
+from zerodrift.calibration.files import (
+    render_header,
+    render_json,
+    render_toml,
+    summarise_calibration,
+)
 from zerodrift.calibration.matrix import CalibrationMatrix, fit_calibration
-from zerodrift.calibration.summary import summarise_calibration
 from zerodrift.dataset.checks import explain_invalid_row, find_invalid_rows
 from zerodrift.dataset.codes import (
     CODE_COLUMNS,

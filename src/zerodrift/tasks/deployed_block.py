@@ -9,8 +9,8 @@ from zerodrift.blocks.block import apply, decode, decode_header
 from zerodrift.blocks.design import BlockDesign, find_design, load_design
 from zerodrift.blocks.files import BLOCK, find_design_file, read_block_file
 from zerodrift.export.integer_model import IntegerModel
+from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import LoadedBlock, open_registry
-from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.fleet.blocks import BLOCKS
 
 

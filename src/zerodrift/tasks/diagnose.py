@@ -10,9 +10,13 @@ from zerodrift.base.progress import SILENT, Progress
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.advice import Advice, advise
-from zerodrift.diagnosis.bad_runs import describe_bad_run
 from zerodrift.diagnosis.changes import AddCommand, extend_model, propose_command
-from zerodrift.diagnosis.course import RepeatedDiagnosis, diagnose_until_done
+from zerodrift.diagnosis.course import (
+    RepeatedDiagnosis,
+    describe_bad_run,
+    describe_unseen,
+    diagnose_until_done,
+)
 from zerodrift.diagnosis.diagnose import diagnose as diagnose_once
 from zerodrift.diagnosis.diagnosis import Diagnosis
 from zerodrift.diagnosis.plain_errors import tell_plain_errors
@@ -20,9 +24,7 @@ from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.revision import list_needless
 from zerodrift.diagnosis.summary import AdviceSummary
 from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
-from zerodrift.diagnosis.unseen import describe_unseen
-from zerodrift.fleet.differing import find_differences
-from zerodrift.fleet.evidence import look_at_unit, pool_units
+from zerodrift.fleet.evidence import find_differences, look_at_unit, pool_units
 from zerodrift.fleet.joint_summary import FleetDiagnosis, summarise_joint
 from zerodrift.fleet.sensors import configure_sensor, find_sensors
 from zerodrift.physics.catalogue import Catalogue

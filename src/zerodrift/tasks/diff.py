@@ -13,7 +13,7 @@ from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.records import from_json
-from zerodrift.dataset.code_format import MEASURED
+from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, name_columns, read_log_steps
 from zerodrift.export.encoding import encode_values
 from zerodrift.export.integer_model import Channel, IntegerModel

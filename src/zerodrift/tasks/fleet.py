@@ -10,7 +10,7 @@ from pathlib import Path
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.dataset.design_codes import DESIGN_FORMAT, list_unstated, require_design_lsb
+from zerodrift.dataset.chip_codes import DESIGN_FORMAT, list_unstated, require_design_lsb
 from zerodrift.fleet.blocks import FleetBlocks, NoProgramError, write_blocks
 from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import Executor, OverRay, Processes, Serial, import_ray

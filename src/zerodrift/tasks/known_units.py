@@ -9,8 +9,8 @@ from zerodrift.blocks.block import apply, decode
 from zerodrift.blocks.design import find_design, load_design
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
+from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
-from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.fleet.sensors import FOLDER, find_sensors
 from zerodrift.tasks.built import load_uncertainty
 from zerodrift.tasks.monitored_log import Deployed

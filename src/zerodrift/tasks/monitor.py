@@ -32,8 +32,7 @@ from zerodrift.field.watch import (
     Rules,
     follow,
 )
-from zerodrift.tasks.applied_rows import FLAG_NAMES
-from zerodrift.tasks.apply import Chip
+from zerodrift.tasks.apply import FLAG_NAMES, Chip
 from zerodrift.tasks.monitored_log import (
     Deployed,
     Left,

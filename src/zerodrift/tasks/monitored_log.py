@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.code_format import MEASURED
+from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.log_steps import LogSteps, find_column, name_columns, read_log_steps
 from zerodrift.dataset.selectors import list_files
 from zerodrift.export.integer_model import IntegerModel

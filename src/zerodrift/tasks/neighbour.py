@@ -12,7 +12,7 @@ from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.files import write_whole
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.dataset.code_format import MEASURED
+from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.log_steps import find_column, name_columns, read_log_steps
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.export.encoding import encode_values
@@ -27,8 +27,7 @@ from zerodrift.field.neighbours import (
     render,
 )
 from zerodrift.field.summary import NeighbourResult
-from zerodrift.tasks.applied_model import load_nothing, open_applied
-from zerodrift.tasks.apply import Chip, answer
+from zerodrift.tasks.apply import Chip, answer, load_nothing, open_applied
 from zerodrift.tasks.diff import MOST_STEPS, key_of, plan_sweep
 from zerodrift.tasks.project import ProjectFolder
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
-from zerodrift.base.files import show_path
+from zerodrift.base.files import MANIFEST, list_own, refuse_foreign, render_manifest, show_path
 from zerodrift.base.journal import write_all
-from zerodrift.base.ownership import MANIFEST, list_own, refuse_foreign, render_manifest
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.codegen.packages import render_package
 from zerodrift.export.model_files import load_model

@@ -11,15 +11,19 @@ from zerodrift.base.experiment_config import read_experiment
 from zerodrift.base.files import write_whole
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.records import from_json, to_dict
-from zerodrift.base.toml_lines import index_lines
-from zerodrift.base.toml_table import TomlTable
+from zerodrift.base.toml_table import TomlTable, index_lines
 from zerodrift.dataset.runs import Dataset
 from zerodrift.dataset.selectors import NoLogsError, expand_selectors
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.discovery.files import list_protocols, write_plan
 from zerodrift.discovery.plan import HOURS, Planned, Question, plan_experiment, refuse_alike
 from zerodrift.discovery.precise import PlannedPrecisely, plan_precisely
-from zerodrift.discovery.summary import PastPlan, summarise_plan, summarise_precise
+from zerodrift.discovery.summary import (
+    PastPlan,
+    list_protocols,
+    summarise_plan,
+    summarise_precise,
+    write_plan,
+)
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.report.results import PlanResult
 from zerodrift.tasks.project import ProjectFolder
@@ -106,7 +110,7 @@ def plan(request: PlanRequest, progress: Progress = SILENT) -> PlanOutcome:
         result = write_plan(result, protocols, request.file)
     if request.picture is not None:
         # Plotly is an extra
-        from zerodrift.report.figures_plan import draw_plan
+        from zerodrift.report.figures import draw_plan
         from zerodrift.report.page import render_page
 
         page = render_page("The next experiment", [draw_plan(result)])

@@ -11,15 +11,20 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.files import write_new
+from zerodrift.base.lock import make_scratch
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.base.scratch import make_scratch
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Dataset
-from zerodrift.diagnosis.formula.curve import trace_formula
-from zerodrift.diagnosis.formula.effect_file import is_proposed, render_file
-from zerodrift.diagnosis.formula.proposal import Formula, FormulaSearch, propose_formula
+from zerodrift.diagnosis.formula.proposal import (
+    Formula,
+    FormulaSearch,
+    is_proposed,
+    propose_formula,
+    render_file,
+    trace_formula,
+)
 from zerodrift.export.compose import (
     compose_integer_model,
     describe_compensator,

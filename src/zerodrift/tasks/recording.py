@@ -12,15 +12,14 @@ from zerodrift.base.config import FILE_NAME, Config, load_config
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.journal import write_text
 from zerodrift.base.records import from_json
-from zerodrift.base.toml_logs import add_log
+from zerodrift.base.toml_edit import add_log
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.open_log import list_columns
 from zerodrift.dataset.selectors import NoLogsError, expand_selectors, matches_logs
 from zerodrift.diagnosis.advice import advise
 from zerodrift.recording.coverage import Coverage, Wanted
-from zerodrift.recording.keep import Keeper, recover
 from zerodrift.recording.open_source import open_source
-from zerodrift.recording.recorder import Recording, RowRules, Show, check_rules
+from zerodrift.recording.recorder import Keeper, Recording, RowRules, Show, check_rules, recover
 from zerodrift.recording.status import end_status, telling_status
 from zerodrift.report.results import PlanResult, RecordResult
 from zerodrift.tasks.plan import KEPT, KeptPlan

@@ -8,8 +8,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.blocks.block import decode, decode_header
 from zerodrift.blocks.design import find_design, load_design
 from zerodrift.blocks.files import find_design_file, read_block_file
+from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import UnitStanding, open_registry
-from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.summary import UnitHistoryResult
 
 

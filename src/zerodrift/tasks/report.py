@@ -9,12 +9,11 @@ from zerodrift.base.config import load_config, locate_key
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all, write_text
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.report.annex import list_annex
 from zerodrift.report.browser import find_browser, print_page, write_pictures
 from zerodrift.report.datasheet import DatasheetRow, measure_datasheet
 from zerodrift.report.dcc import describe_sensor, render_certificate
 from zerodrift.report.findings import Findings
-from zerodrift.report.report import list_pictures, render_report
+from zerodrift.report.report import list_annex, list_pictures, render_report
 from zerodrift.report.results import CompareResult, HistoryResult, ReportResult
 from zerodrift.report.tables import tabulate_datasheet
 from zerodrift.tasks.diagnose import summarise_diagnosis

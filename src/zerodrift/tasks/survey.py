@@ -13,14 +13,12 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.progress import SILENT, Progress
-from zerodrift.base.records import from_json, to_dict
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import from_json, render_sealed, to_dict
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.dataset.units import read_unit
 from zerodrift.diagnosis.advice import advise
 from zerodrift.diagnosis.contribution import Contribution, find_contribution, open_baseline
-from zerodrift.diagnosis.diagnosis import Diagnosis
-from zerodrift.diagnosis.explained import ExplainedDiagnosis
+from zerodrift.diagnosis.diagnosis import Diagnosis, ExplainedDiagnosis
 from zerodrift.diagnosis.history import list_steps
 from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.run_errors import collect_errors

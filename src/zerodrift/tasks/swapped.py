@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
-from zerodrift.c_runtime.host_batch import build_host_batch
+from zerodrift.c_runtime.host import build_host_batch
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.field.blocks import join_blocks, make_blocks

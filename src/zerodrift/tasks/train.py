@@ -6,8 +6,7 @@ from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.journal import write_all
 from zerodrift.base.progress import SILENT, Progress, Stage
-from zerodrift.base.records import to_dict
-from zerodrift.base.sealed import render_sealed
+from zerodrift.base.records import render_sealed, to_dict
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.advice import Advice, advise
 from zerodrift.diagnosis.referee import explain_refusals, find_refusals

@@ -15,12 +15,12 @@ from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.base.lock import lock_project
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.field.metrics import write_metrics
+from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import LEARNING, open_registry
-from zerodrift.field.registry_file import FILE_NAME as REGISTRY
 from zerodrift.field.state import FILE_NAME, LogSeen, MonitorState, load_state, save_state
 from zerodrift.field.summary import MonitorResult
 from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT
-from zerodrift.tasks.applied_model import load_nothing, open_applied
+from zerodrift.tasks.apply import load_nothing, open_applied
 from zerodrift.tasks.deployed_block import find_serial
 from zerodrift.tasks.known_units import find_known
 from zerodrift.tasks.monitor import Monitor

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array, Mask
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.bridges import predict_all
-from zerodrift.dataset.code_format import MEASURED
+from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.encoding import round_channel

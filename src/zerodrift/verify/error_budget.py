@@ -18,9 +18,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.layered_network import FloatLayeredNetwork
 from zerodrift.export.quantize import FEATURE_HEADROOM, quantize_graph
 from zerodrift.export.quantize_layers import (
     ReadOut,

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
+from zerodrift.base.files import list_own, refuse_foreign
 from zerodrift.base.journal import write_all
-from zerodrift.base.ownership import list_own, refuse_foreign
+from zerodrift.base.lock import make_scratch
 from zerodrift.base.records import to_dict
-from zerodrift.base.scratch import make_scratch
 from zerodrift.blocks.block import BlockNotes
 from zerodrift.blocks.design import FILE_NAME as DESIGN
 from zerodrift.blocks.design import load_design, make_design

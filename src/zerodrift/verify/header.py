@@ -9,7 +9,7 @@ import ctypes
 from pathlib import Path
 
 from zerodrift.codegen.generate import GeneratedCode
-from zerodrift.codegen.names import name_channels, name_outputs
+from zerodrift.codegen.identifiers import name_channels, name_outputs
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_DAMAGED,

@@ -17,8 +17,7 @@ from zerodrift import __version__
 from zerodrift.base.config import USES, Config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.files import NOT_THERE
-from zerodrift.base.records import from_json, to_dict
-from zerodrift.base.sealed import read_format
+from zerodrift.base.records import from_json, read_format, to_dict
 from zerodrift.dataset.selectors import expand_selectors
 
 FILE_NAME = "manifest.json"

@@ -13,8 +13,8 @@ import numpy as np
 
 from zerodrift.base.config import AUTO, Config, NetworkConfig
 from zerodrift.base.errors import CheckError, InputError
+from zerodrift.base.lock import make_scratch
 from zerodrift.base.progress import Stage
-from zerodrift.base.scratch import make_scratch
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.footprint import measure_footprint
 from zerodrift.codegen.generate import generate

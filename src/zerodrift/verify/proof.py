@@ -7,7 +7,7 @@ from pathlib import Path
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
-from zerodrift.codegen.names import name_prefix
+from zerodrift.codegen.identifiers import name_prefix
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.verify.checkers import (
     BuildError,

@@ -1,6 +1,6 @@
 """`verify`: compares the files of a project's firmware folder and of build/ with the model."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -10,7 +10,8 @@ import numpy as np
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.base.fleet_config import SHARED_RUNTIME
-from zerodrift.base.scratch import make_scratch
+from zerodrift.base.lock import make_scratch
+from zerodrift.base.records import read_sealed
 from zerodrift.blocks.block import apply, decode
 from zerodrift.blocks.design import FILE_NAME as DESIGN
 from zerodrift.blocks.design import load_design
@@ -21,14 +22,8 @@ from zerodrift.export.golden import GoldenVectors, compute_golden, load_golden
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import build_integer_onnx
 from zerodrift.export.model_files import load_model
-from zerodrift.verify.expected import Expected, expect
+from zerodrift.verify.certificate import FILE_NAME
 from zerodrift.verify.firmware_check import Failure, Progress
-from zerodrift.verify.folder_certificate import (
-    CERTIFICATE,
-    NO_CERTIFICATE,
-    FolderCertificate,
-    check_folder_certificate,
-)
 from zerodrift.verify.folder_check import (
     SANITIZER,
     FolderCheck,
@@ -37,12 +32,92 @@ from zerodrift.verify.folder_check import (
     is_generated,
 )
 from zerodrift.verify.header_finding import HeaderFinding
-from zerodrift.verify.manifest import ManifestCheck, ManifestFinding, NotChecked, check_manifest
-from zerodrift.verify.mismatch import find_mismatch
-from zerodrift.verify.records import check_records
+from zerodrift.verify.manifest import (
+    DAMAGED,
+    ManifestCheck,
+    ManifestFinding,
+    NotChecked,
+    check_manifest,
+)
+from zerodrift.verify.mismatch import Expected, expect, find_mismatch
 from zerodrift.verify.summary import VerifySummary
 from zerodrift.verify.vectors import draw_golden, draw_sequences, draw_starts
 from zerodrift.verify.ways import HOST
+
+# The certificate of a firmware folder, derived again while `verify` is at it.
+
+CERTIFICATE = "certificate"
+
+
+@dataclass(frozen=True)
+class FolderCertificate:
+    """What became of the certificate."""
+
+    holds: int = 0
+    """Claims that hold."""
+    failures: tuple[str, ...] = ()
+    """What does not follow from the C."""
+    not_checked: tuple[NotChecked, ...] = ()
+
+
+NO_CERTIFICATE = FolderCertificate()
+"""It did not get that far."""
+
+
+def check_folder_certificate(folder: Path, runtime: Mapping[str, str]) -> FolderCertificate:
+    """Derive the bounds of a firmware folder's certificate again from the C that lies there.
+
+    Args:
+        folder: the firmware's. One without certificate.json, or with a runtime that this version
+            has no rules for, is not checked.
+        runtime: its runtime (zd_*), which units of a fleet share: file name -> text.
+    """
+    from zerodrift.verify.checkers import check_certificate, is_known
+
+    if not (folder / FILE_NAME).is_file():
+        return _leave("there is no certificate.json")
+    if not is_known(runtime):
+        return _leave("the runtime (zd_*) is of another version, or was changed")
+    outcome = check_certificate(folder)
+    return FolderCertificate(
+        outcome.holds, tuple(f"{FILE_NAME}: {text}" for text in outcome.failures)
+    )
+
+
+def _leave(why: str) -> FolderCertificate:
+    return FolderCertificate(not_checked=(NotChecked(CERTIFICATE, why),))
+
+
+# What commands keep in build/ for later commands: files that carry a hash of themselves.
+
+RECORDS = ("firmware.json", "refused.json", "uncertainty.json", "compensator.json")
+"""Not of the firmware, so that the manifest does not name them: who reads one recomputes it, or
+says that there is none, where it is gone or damaged."""
+_OF_A_MODEL = ("firmware.json", "uncertainty.json")
+
+
+def check_records(config: Config, model_hash: str) -> Iterator[ManifestFinding]:
+    """Yield the records that are damaged, or of another model than the one in build/.
+
+    Args:
+        config: the project.
+        model_hash: of the integer model; "" if that is not known.
+    """
+    for name in RECORDS:
+        path = config.build_directory / name
+        shown = f"{config.build_directory.name}/{name}"
+        try:
+            body = read_sealed(path.read_bytes())
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError) as error:
+            yield ManifestFinding(DAMAGED, shown, f"{shown}: is damaged ({error}).")
+            continue
+        if name in _OF_A_MODEL and model_hash and body.get("model_hash") != model_hash:
+            theirs = str(body.get("model_hash"))[:12]
+            text = f"{shown}: is of model {theirs}, not of {model_hash[:12]}."
+            yield ManifestFinding(DAMAGED, shown, text)
+
 
 RANDOM_STEPS = 20_000
 COLD_STEPS = 200

@@ -6,10 +6,8 @@ from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.drivers import LAG, TAU_S, TEMPERATURE, read_driver
 from zerodrift.report import cause, tables
 from zerodrift.report.findings import Findings, Trace
-from zerodrift.report.plot import Picture
-from zerodrift.report.svg import render_svg
-from zerodrift.report.thin import pick_spread
-from zerodrift.report.window import Window, choose_clock, find_rows
+from zerodrift.report.svg import Picture, render_svg
+from zerodrift.report.window import Window, choose_clock, find_rows, pick_spread
 from zerodrift.workbench.first_look import HEADING, NARROWEST, WIDEST
 from zerodrift.workbench.state import DrawnPicture, PageChoice, PictureWish, Sheet
 from zerodrift.workbench.workplace import Workplace

@@ -10,13 +10,17 @@ import hashlib
 import hmac
 import html
 import json
+import os
+import secrets
 import socket
+import stat
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -24,10 +28,152 @@ from urllib.parse import parse_qs, urlsplit
 from zerodrift import report
 from zerodrift.base.config import FILE_NAME, Config
 from zerodrift.base.errors import InputError
+from zerodrift.base.records import from_json, to_dict
 from zerodrift.fleet.sensors import load_unit
-from zerodrift.workbench.address import PageAddress, find_address, keep_address
 from zerodrift.workbench.events import SENSOR
-from zerodrift.workbench.skeleton import write_skeleton
+
+# A project's address on this machine: the same port and token each time, so that a tab finds it.
+#
+# They lie in the user's own state directory, readable by that user alone, and never in the project,
+# which may be shared. Another user's file, or one that others may read, is ignored.
+
+FOLDER = Path("zerodrift") / "workbench"
+FEWEST_LETTERS = 24
+"""Of a token that is believed."""
+
+
+@dataclass(frozen=True)
+class PageAddress:
+    """Where a project's page is."""
+
+    port: int
+    """0: any that is free."""
+    token: str
+
+
+def make_token() -> str:
+    """Return a random token that cannot be guessed."""
+    return secrets.token_urlsafe(24)
+
+
+def find_address(directory: Path) -> PageAddress:
+    """Return the address that the project had last, or a new one.
+
+    Args:
+        directory: of the project.
+    """
+    path = _name_file(directory)
+    try:
+        told = path.lstat()
+        is_own = stat.S_ISREG(told.st_mode) and told.st_uid == _find_user(told.st_uid)
+        if is_own and (os.name == "nt" or not told.st_mode & 0o077):
+            kept = from_json(PageAddress, json.loads(path.read_text(encoding="utf-8")))
+            if len(kept.token) >= FEWEST_LETTERS and 1024 <= kept.port < 65536:
+                return kept
+    except (OSError, ValueError, RecursionError):
+        pass
+    return PageAddress(0, make_token())
+
+
+def keep_address(directory: Path, address: PageAddress) -> None:
+    """Keep an address for the next time; where that cannot be, the next one is another."""
+    path = _name_file(directory)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        part.unlink(missing_ok=True)
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump(to_dict(address), file)
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+
+
+def _find_user(fallback: int) -> int:
+    return os.getuid() if hasattr(os, "getuid") else fallback
+
+
+def _name_file(directory: Path) -> Path:
+    """Return the file of a project's address: named by a hash of where the project lies."""
+    if os.name == "nt":
+        state = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    else:
+        state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    name = hashlib.sha256(os.fsencode(directory.resolve())).hexdigest()[:32]
+    return state / FOLDER / f"{name}.json"
+
+
+# The page before anything is found, as plain HTML with the page's own classes and sizes.
+#
+# It stands where the page will stand: while the page's libraries are being loaded, and while its
+# scripts are. What comes later takes its places, so nothing moves. Only the standard library is
+# used.
+
+CONTENTS = (
+    ("top", "Verdict"),
+    ("measured", "Measured and model"),
+    ("candidates-section", "What is missing"),
+    ("staircase-section", "Staircase"),
+    ("errors-section", "Errors"),
+    ("model-section", "Effects"),
+    ("firmware-section", "Firmware"),
+    ("chip-section", "The chip's own C"),
+    ("units-section", "Units in use"),
+)
+CHOICES = (
+    ("output", "Output"),
+    ("run", "Run"),
+    ("ghost", "Drawn over what is left"),
+    ("against", "What is left, against"),
+)
+CAUSE = "The cause: measured, model, what is left, and what it follows"
+OTHER_STEPS = "Other steps: another effect, undo, redo, look again"
+READING = "Reading the logs and fitting the model."
+STEPS = ("Compare", "Diagnose", "Add what is missing", "Firmware", "Verify", "Apply", "Report")
+TILES = 4
+WAITING = "waiting"
+"""In place of `1` for what is out of date: nothing can be pressed yet."""
+
+
+def write_skeleton(name: str, subtitle: str, facts: Sequence[str]) -> str:
+    """Return the page's frame.
+
+    Args:
+        name: of the sensor.
+        subtitle: what its model holds.
+        facts: what is known of the logs.
+    """
+    links = "".join(f'<li><a href="#{where}">{escape(words)}</a></li>' for where, words in CONTENTS)
+    told = "".join(f'<p class="note">{escape(fact)}</p>' for fact in facts)
+    steps = "".join(
+        f'<li class="{"later" if number else "busy"}"><span class="sign" aria-hidden="true">'
+        f'{"○" if number else "…"}</span><b>{step}</b><span class="found"></span></li>'
+        for number, step in enumerate(STEPS)
+    )
+    lists = "".join(
+        f'<label class="wide">{escape(words)}<select id="{place}" disabled></select></label>'
+        for place, words in CHOICES
+    )
+    tiles = '<div class="tile"><b>…</b><span></span></div>' * TILES
+    return (
+        f'<div id="bench" class="layout" data-stale="{WAITING}">'
+        f'<nav class="contents" aria-label="Contents"><ol>{links}</ol>'
+        '<button class="theme" disabled>Dark page</button></nav>'
+        f'<main id="top"><p id="kicker" class="kicker">Workbench</p>'
+        f'<h1 id="sensor">{escape(name)}</h1><p class="subtitle">{escape(subtitle)}</p>'
+        '<section id="verdict" class="verdict none">'
+        f'<p class="sentence" role="status">{READING}</p>{told}</section>'
+        '<p id="guess-told" class="note"></p>'
+        f'<section id="way"><ol class="way">{steps}</ol>'
+        '<div class="now"><p class="reason">The logs are being read.</p>'
+        '<div class="adds"></div></div></section>'
+        f'<details id="actions"><summary>{OTHER_STEPS}</summary></details>'
+        f'<div id="tiles" class="tiles">{tiles}</div>'
+        f'<section id="measured"><h2>{CAUSE}</h2><div class="choices">{lists}</div>'
+        '<figure><div id="main"></div></figure></section></main></div>'
+    )
+
 
 HOST = "127.0.0.1"
 STYLES = (
@@ -255,7 +401,6 @@ class EarlyPage:
         """Return the chart's place as it is now, for a window of the wished width."""
         # Loaded with the first request, beside what the page itself needs of the same.
         from zerodrift.base.records import to_json
-        from zerodrift.workbench.first_look import draw_waiting, read_look
 
         width = WIDTH
         try:
@@ -264,6 +409,8 @@ class EarlyPage:
                     width = float(wished)
         except (ValueError, RecursionError):
             pass  # no wish that can be read
+        from zerodrift.workbench.first_look import draw_waiting, read_look
+
         drawn = draw_waiting(read_look(self.read_sketch()), width, is_early=True)
         return json.dumps(to_json(drawn)).encode()
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.report.cause_place import MARGIN_LEFT, lay_out_cause
-from zerodrift.report.plot import AxisScale, Curve, Panel, Picture, spread
-from zerodrift.report.svg import render_svg, write_style
+from zerodrift.report.svg import AxisScale, Curve, Panel, Picture, render_svg, spread, write_style
 from zerodrift.report.window import choose_axis
 
 HEADING = 236.0

@@ -3,7 +3,7 @@
 from dash import dcc, html
 from dash.development.base_component import Component
 
-from zerodrift.workbench.skeleton import CAUSE, CONTENTS, OTHER_STEPS
+from zerodrift.workbench.early import CAUSE, CONTENTS, OTHER_STEPS
 
 POLL_MS = 500
 MOVES = (

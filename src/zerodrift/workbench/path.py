@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from zerodrift.diagnosis.explained import ExplainedDiagnosis
-from zerodrift.diagnosis.strength import WEAK, rate_strength
+from zerodrift.diagnosis.diagnosis import WEAK, ExplainedDiagnosis, rate_strength
 from zerodrift.report.findings import Findings
 
 DONE, NEXT, LATER, BUSY = "done", "next", "later", "busy"

@@ -10,8 +10,7 @@ from dash import html
 from dash.development.base_component import Component
 
 from zerodrift.recording.coverage import Covered, CoveredRange, RecordedColumn
-from zerodrift.recording.status import CUT_OFF, ENDED, LIVE, STUCK
-from zerodrift.recording.summary import explain_missing
+from zerodrift.recording.status import CUT_OFF, ENDED, LIVE, STUCK, explain_missing
 from zerodrift.report.tables import Table
 from zerodrift.workbench.panels import show_table
 from zerodrift.workbench.path import Offer

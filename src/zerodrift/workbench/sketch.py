@@ -16,7 +16,7 @@ from zerodrift.base.errors import ZerodriftError
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.fleet.sensors import load_unit
-from zerodrift.report.thin import pick_rows
+from zerodrift.report.window import pick_rows
 from zerodrift.workbench.events import SENSOR, SKIP_INVALID
 from zerodrift.workbench.first_look import FirstLook, LoggedLine, write_look
 

@@ -6,10 +6,14 @@ from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.selectors import matches_logs
-from zerodrift.field.registry import Event, UnitStanding, open_registry
-from zerodrift.field.registry_file import FILE_NAME
+from zerodrift.field.registry import FILE_NAME, Event, UnitStanding, open_registry
 from zerodrift.fleet.sensors import load_unit
-from zerodrift.recording.status import ENDED, RecordingStatus, list_statuses, name_status
+from zerodrift.recording.status import (
+    ENDED,
+    RecordingStatus,
+    list_statuses,
+    name_status,
+)
 
 
 @dataclass(frozen=True)

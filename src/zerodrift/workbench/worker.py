@@ -28,7 +28,7 @@ from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.report.findings import save_findings
-from zerodrift.tasks.applied_rows import FLAG_NAMES
+from zerodrift.tasks.apply import FLAG_NAMES
 from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.tasks.survey import (
     SurveyRequest,

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +19,11 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json
+from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
 from zerodrift.diagnosis.drivers import DriftDriver
-from zerodrift.diagnosis.explained import ExplainedDiagnosis
-from zerodrift.diagnosis.history import Step, list_settings
-from zerodrift.diagnosis.timeline import find_timeline
+from zerodrift.diagnosis.history import FILE_NAME as HISTORY
+from zerodrift.diagnosis.history import Step, find_timeline, list_settings
+from zerodrift.fleet.sensors import FOLDER
 from zerodrift.report.cause import read_driven
 from zerodrift.report.findings import Findings, Trace, load_findings
 from zerodrift.report.results import (
@@ -53,10 +54,75 @@ from zerodrift.workbench.events import (
 from zerodrift.workbench.first_look import FirstLook, read_look
 from zerodrift.workbench.hold import hold_directory
 from zerodrift.workbench.jobs import Job
-from zerodrift.workbench.marks import Marks, mark_files
-from zerodrift.workbench.messages import Message, explain_guess
 from zerodrift.workbench.state import JobState, PageState
+from zerodrift.workbench.uploads import LOGS
 from zerodrift.workbench.watch import RecordingWatch, UnitsWatch
+
+# Whether a file of the project was changed from outside of the page.
+
+BUILT = (HISTORY, "firmware.json", "refused.json", "compensator.json")
+"""Files of build/ that other commands write and the page shows."""
+
+Marks = dict[str, tuple[int, int]]
+"""File, relative to the project -> its size in bytes and the time of its last change in ns."""
+
+
+def mark_files(
+    directory: Path,
+    findings: Findings | None,
+    recorded: frozenset[Path] = frozenset(),
+    sensor: str | None = None,
+) -> Marks:
+    """Return size and time of zerodrift.toml, the logs, the user's effects, and what was built.
+
+    Whatever went into the findings counts, and new files where logs usually lie, except hidden ones
+    and those in `recorded`: a log that grows would never let the page rest. A unit of a fleet has a
+    folder of its own below build/.
+    """
+    places = {directory / FILE_NAME, *directory.glob("*.py"), *directory.glob("*.csv")}
+    places |= set(directory.glob(f"{LOGS}/*"))
+    built = directory / "build" if sensor is None else directory / "build" / FOLDER / sensor
+    places |= {built / name for name in BUILT}
+    if findings is not None:
+        places |= {directory / source.file for source in findings.provenance.files}
+    marks = {}
+    for path in sorted(places):
+        if path in recorded or path.name.startswith("."):
+            continue
+        try:
+            told = path.stat()
+        except OSError:
+            continue
+        marks[path.relative_to(directory).as_posix()] = (told.st_size, told.st_mtime_ns)
+    return marks
+
+
+# What the page tells its user in words of its own.
+
+
+@dataclass(frozen=True)
+class Message:
+    """Something to tell the user."""
+
+    text: str
+    is_error: bool = True
+
+
+def explain_guess(guess: InitResult) -> str:
+    """Return what `init` guessed, and what of it to check."""
+    outputs = "; ".join(
+        f"{name} in {o.unit}: {o.measured} against {o.reference or 0}, full scale "
+        f"{o.full_scale:g} {o.unit}"
+        for name, o in guess.outputs.items()
+    )
+    lines = [
+        f"Guessed: time {guess.time}, a row every {guess.sample_period_s:g} s; temperature "
+        f"{guess.temperature}; {outputs}.",
+        *(f"Check: {check}" for check in guess.check),
+        "All of it stands in zerodrift.toml and can be edited there; the page follows.",
+    ]
+    return "\n".join(lines)
+
 
 CHILD = "zerodrift.workbench.worker"
 LOOKS_AT = ("verify", "report", "apply", "propose", "plan", "chip")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from zerodrift_proof.equality.node import Ends, Field, Meaning, Moment, Node, State, Values
-from zerodrift_proof.equality.opaque import say_time
+from zerodrift_proof.equality.rules import say_time
 from zerodrift_proof.equality.terms import Whole
 
 

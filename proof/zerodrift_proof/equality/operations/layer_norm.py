@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from zerodrift_proof.equality.node import Meaning, Node, Row
-from zerodrift_proof.equality.opaque import Normalisation, say_norm
+from zerodrift_proof.equality.rules import Normalisation, say_norm
 from zerodrift_proof.equality.terms import Whole
 
 

@@ -1,5 +1,7 @@
 """A formula for what no effect of the catalogue explains, or that there is none."""
 
+import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,13 +16,15 @@ from zerodrift.diagnosis.examination import Examination, Judged, examine, fit_ba
 from zerodrift.diagnosis.examination import share_explained as explain_share
 from zerodrift.diagnosis.formula.expression import (
     Expression,
+    is_by_load,
     make_effect,
+    name_term,
     rename,
     write_formula,
 )
 from zerodrift.diagnosis.formula.grammar import centre, list_forms
 from zerodrift.diagnosis.formula.screen import Screen, Search, list_sources
-from zerodrift.diagnosis.formula.words import Meaning, explain
+from zerodrift.diagnosis.judgement import Fitted
 from zerodrift.diagnosis.plain_errors import measure_left_out, pool_ratio
 from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder
 from zerodrift.diagnosis.revision import Revision, revise
@@ -32,8 +36,119 @@ from zerodrift.diagnosis.rules import (
     is_at_floor,
 )
 from zerodrift.physics.catalogue import Catalogue
-from zerodrift.physics.effect import Effect
+from zerodrift.physics.effect import Effect, Parameter
 from zerodrift.physics.terms import Term
+
+# What kind of physics has a formula's form, in words, and the experiment that would show it.
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """A form's name, what has it, and how to see it."""
+
+    name: str
+    """The last part of the effect's name: transient, hysteresis, ..."""
+    title: str
+    physics: str
+    experiment: str
+
+
+def explain(expression: Expression) -> Meaning:
+    """Return what a form means; the outermost operation that says something decides."""
+    names = " and ".join(source.text for source in expression.sources)
+    driver = expression.sources[0].text
+    shape = [one.op for one in expression.walk()]
+    outer = expression
+    while outer.op in ("shift",):
+        outer = outer.inputs[0]
+    hold = f"step {driver}, hold everything else, and wait"
+    if outer.op == "product":
+        return Meaning(
+            "interaction",
+            f"interaction of {names}",
+            f"One of {names} sets how much the other does: a gain, a sensitivity or a coupling "
+            "that is itself moved.",
+            f"sweep {expression.sources[-1].text} at two levels of {driver}, far apart: the slopes "
+            "must differ, and by the factor that the formula says",
+        )
+    if outer.op == "difference" and "lowpass" in shape and len(expression.sources) == 1:
+        return Meaning(
+            "transient",
+            f"what {driver} does until it has soaked through",
+            f"Two parts answer {driver} at different speeds and cancel once both have: a surface "
+            "and a core, a seal and what it seals.",
+            f"{hold} five of its time constants: the drift must come at once and go by itself",
+        )
+    if outer.op == "difference" and len(expression.sources) == 2:
+        return Meaning(
+            "difference",
+            f"difference of {names}",
+            f"A gradient between two places, or two supplies that ought to cancel: {names}.",
+            f"move {driver} alone, then both together: together there must be no drift",
+        )
+    if "play" in shape:
+        return Meaning(
+            "hysteresis",
+            f"slack in {driver}",
+            f"Friction, slip in a joint, or domains that turn late: {driver} has to come back by "
+            "twice a width before anything follows.",
+            f"take {driver} up and down over half of its range twice: a loop must open whose width "
+            "does not depend on the speed",
+        )
+    if "delay" in shape:
+        return Meaning(
+            "delay",
+            f"{driver} as it was a while ago",
+            "Transport (a flow, a buffer, an averaging converter) brings it late and unchanged.",
+            f"step {driver}: the drift must step too, once, after the delay",
+        )
+    if any(one in shape for one in ("above", "below")):
+        return Meaning(
+            "threshold",
+            f"{driver} beyond a threshold",
+            "A contact that closes, a part that goes slack or touches, condensation, a regulator "
+            "out of its range: nothing on one side of a threshold, a slope on the other.",
+            f"raise {driver} slowly through the threshold and back: the slope must change there",
+        )
+    if any(one in shape for one in ("larger", "smaller")):
+        return Meaning(
+            "rival",
+            f"the larger or smaller of {names}",
+            "Whichever of two bodies, supplies or paths leads at the time decides.",
+            f"hold one of {names} and move the other across it",
+        )
+    if "exp2" in shape:
+        return Meaning(
+            "exponential",
+            f"exponential in {driver}",
+            f"A rate or a current that doubles with every so much {driver}: leakage, diffusion, "
+            "vapour.",
+            f"take {driver} to the top of its range in equal steps: each must add more than the "
+            "last, by the same factor",
+        )
+    if "power" in shape or "size" in shape:
+        late = ", late" if "lowpass" in shape else ""
+        return Meaning(
+            "power",
+            f"bent in {driver}{late}",
+            f"Power that {driver} turns into heat, a stress that does not care for its sign, or "
+            f"the bend of a characteristic{', after a thermal or viscous lag' if late else ''}.",
+            f"take {driver} to both ends of its range: the drift must be bent as the formula says",
+        )
+    if "lowpass" in shape:
+        return Meaning(
+            "lag",
+            f"{driver}, late",
+            f"Heat, moisture or stress takes its time from {driver} to the element.",
+            f"{hold} five time constants: the drift must approach its end as an exponential",
+        )
+    return Meaning(
+        "influence",
+        f"in proportion to {names}",
+        f"A leak, a coupling or a gain that follows {names} at once.",
+        f"step {driver} up and down: the drift must follow at once",
+    )
+
 
 SEARCHES = 3
 """Where one term explains too little a second is looked for, and then the first one anew."""
@@ -396,3 +511,162 @@ def _end(case: Case, seen: Examination, reason: str, suffices: str = "") -> Form
         rmse_left_out={},
         noise_floor=dict(zip(outputs, seen.floor.tolist(), strict=True)),
     )
+
+
+# What the model leaves against what the formula says of it, on runs left out.
+
+MOST_POINTS = 400
+"""Of an output, over all runs."""
+DIGITS = 5
+
+
+@dataclass(frozen=True)
+class FormulaCurve:
+    """Points of one output, each the mean of a stretch of a run, in the output's unit.
+
+    Both from models that the run is left out of; where logs are tared, without the run's own mean.
+    """
+
+    formula: tuple[float, ...]
+    """What the formula adds to the model."""
+    remainder: tuple[float, ...]
+    """What the model without it leaves: equal, where the formula is all that is missing."""
+
+
+def trace_formula(formula: Formula, dataset: Dataset) -> Mapping[str, FormulaCurve]:
+    """Return output -> points of the remainder against the formula.
+
+    Args:
+        formula: as fitted.
+        dataset: the runs it was fitted to.
+    """
+    revision = formula.revision
+    left, said = _join(revision.before), _join(revision.after)
+    total = sum(len(error) for error in left.values())
+    block = max(1, -(-total // MOST_POINTS))
+    points: list[list[Array]] = [[], []]
+    for group, error in left.items():
+        added = error - said[group]
+        for found, rows in zip(points, (added, error), strict=True):
+            whole = len(rows) // block
+            if not whole:
+                continue
+            means = rows[: whole * block].reshape(whole, block, -1).mean(axis=1)
+            found.append(means - rows.mean(axis=0) if revision.tared else means)
+    x, y = (np.concatenate(found) for found in points)
+    return {
+        name: FormulaCurve(_round(x[:, k]), _round(y[:, k]))
+        for k, name in enumerate(dataset.outputs)
+    }
+
+
+def _join(fitted: Fitted) -> dict[str, Array]:
+    """Return what a model leaves of each run [n, K], outliers by their weights."""
+    return {group: error.steady for group, error in fitted.errors.items()}
+
+
+def _round(values: Array) -> tuple[float, ...]:
+    return tuple(float(f"{x:.{DIGITS}g}") for x in values)
+
+
+# A formula as a user's file of effects, which `add` takes.
+
+WIDTH = 92
+
+
+MARK = ": a formula that the logs propose."
+"""End of the first line of each file that is written here."""
+
+
+def is_proposed(text: str) -> bool:
+    """Return whether a file's text came from `render_file`, as far as its first line tells."""
+    return text.partition("\n")[0].endswith(MARK)
+
+
+def render_file(formula: Formula) -> str:
+    """Return the text of the file: the effect, named and commented."""
+    effect, meaning = formula.effect, formula.meaning
+    body, by_load = ["features = []"], ["for own, load in signals.load.items():"]
+    for number, one in enumerate(formula.expressions, 1):
+        name = name_term(number, len(formula.expressions))
+        result = "x" if len(formula.expressions) == 1 else "xyz"[number - 1]
+        code, unit = one.list_code(result), _quote(one.unit)
+        if is_by_load(one):
+            by_load += [f"    {line}" for line in code]
+            by_load.append(
+                f'    features.append(Feature(f"{name} {{own}}", {result}, {unit}, own))'
+            )
+        else:
+            body += [*code, f"features.append(Feature({_quote(name)}, {result}, {unit}))"]
+    body += [*(by_load if len(by_load) > 1 else []), "return features"]
+    told = (
+        f"Found by `zerodrift propose` in these logs, not taken from a book: {meaning.physics} "
+        f"What would show it: {meaning.experiment}."
+    )
+    lines = [
+        f'"""{effect.title[:1].upper()}{effect.title[1:]}{MARK}',
+        "",
+        *textwrap.wrap(told, WIDTH),
+        "",
+        f"    drift = {formula.write()}",
+        "",
+        "Each output has coefficients of its own; `zerodrift add` fits the numbers again.",
+        '"""',
+        "",
+        "from zerodrift.physics.catalogue import register",
+        "from zerodrift.physics.effect import Effect, Feature, Parameter",
+        "",
+        "",
+        "def build(ops, signals, p):",
+        f'    """Return the terms of {write_formula(formula.expressions)}."""',
+        *(f"    {line}" for line in body),
+        "",
+        "",
+        "register(",
+        "    Effect(",
+        f"        kind={_quote(effect.kind)},",
+        f"        title={_quote(effect.title)},",
+        "        build=build,",
+        "        parameters=(",
+        *(line for p in effect.parameters for line in _write_parameter(p, formula)),
+        "        ),",
+        f"        needs={_write_names(effect.needs)},",
+        f"        equation={_quote(effect.equation)},",
+        f"        physics={_quote(meaning.physics)},",
+        f"        provoke={_quote(meaning.experiment[:1].upper() + meaning.experiment[1:] + '.')},",
+        "    )",
+        ")",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _write_parameter(parameter: Parameter, formula: Formula) -> list[str]:
+    """Return the declaration of a parameter, to be searched for around its value."""
+    value = formula.values[parameter.name]
+    fitted = formula.revision.term
+    interval = fitted.intervals.get(parameter.name) if fitted is not None else None
+    low, high = parameter.typical
+    if not low <= value <= high:
+        low, high = min(low, value), max(high, value)
+    told = f"{value:.5g} {parameter.unit}"
+    if interval is not None:
+        told += f", between {interval[0]:.5g} and {interval[1]:.5g} with 95 %"
+    return [
+        f"            # found: {told}",
+        f"            Parameter({_quote(parameter.name)}, {_quote(parameter.unit)}, "
+        f"{_shorten(parameter.lower)}, {_shorten(parameter.upper)}, "
+        f'({_shorten(low)}, {_shorten(high)}), scale="{parameter.scale}"),',
+    ]
+
+
+def _shorten(value: float) -> str:
+    return repr(float(f"{value:.6g}"))
+
+
+def _write_names(names: tuple[str, ...]) -> str:
+    return f"({', '.join(_quote(name) for name in names)},)"
+
+
+def _quote(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

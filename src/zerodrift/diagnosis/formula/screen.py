@@ -21,9 +21,8 @@ from zerodrift.diagnosis.noise import Noise
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.effect import Feature, Signals
-from zerodrift.physics.projection import get_coordinates, list_coordinates, set_coordinates
 from zerodrift.physics.reduction import Reduction, plan_reduction, select_means
-from zerodrift.physics.search import Found
+from zerodrift.physics.search import Found, get_coordinates, list_coordinates, set_coordinates
 from zerodrift.physics.terms import Term, build_features
 from zerodrift.physics.tracks import lay_tracks
 

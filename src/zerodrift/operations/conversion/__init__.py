@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.conversion_config import ConversionConfig, sum_formula
+from zerodrift.base.column_config import ConversionConfig, sum_formula
 from zerodrift.base.errors import CheckError
 from zerodrift.base.records import OPTIONAL
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate

@@ -32,8 +32,16 @@ from zerodrift.operations.errors import (
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.signals import Real
-from zerodrift.operations.table_error import bound_tanh, bound_tanh_slope
-from zerodrift.operations.tables import NODE_MAX, STEP_BITS, TABLE_BITS, TANH, tanh_q30, write_tanh
+from zerodrift.operations.tables import (
+    NODE_MAX,
+    STEP_BITS,
+    TABLE_BITS,
+    TANH,
+    bound_tanh,
+    bound_tanh_slope,
+    tanh_q30,
+    write_tanh,
+)
 
 COPY_BITS = 15
 """Fractional bits that a layer's output has beyond its int16 copy."""

@@ -18,9 +18,13 @@ from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.octave import bound_exp2_octave
 from zerodrift.operations.operation import Operation
-from zerodrift.operations.polynomial import bound_polynomial, evaluate_polynomial, write_polynomial
+from zerodrift.operations.polynomial import (
+    bound_exp2_octave,
+    bound_polynomial,
+    evaluate_polynomial,
+    write_polynomial,
+)
 from zerodrift.operations.signals import Real, Signal
 
 EXPONENT_LIMIT = 60.0

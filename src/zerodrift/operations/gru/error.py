@@ -45,14 +45,15 @@ from zerodrift.base.errors import NoRuleError
 from zerodrift.operations.errors import HALF, ZERO, Error, Known
 from zerodrift.operations.gate_sums import GateArgument, GateSums, RealUnit, propose_errors, weigh
 from zerodrift.operations.gru.cell import IntegerGru
-from zerodrift.operations.table_error import (
+from zerodrift.operations.tables import (
+    T_MIN,
     SigmoidError,
     bound_sigmoid,
     bound_sigmoid_table,
     bound_slope,
     bound_tanh,
+    sigmoid_q31,
 )
-from zerodrift.operations.tables import T_MIN, sigmoid_q31
 
 STEP = Fraction(1, 1 << 30)
 """A step's rounding: half a count of the move, doubled."""

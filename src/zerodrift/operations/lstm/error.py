@@ -22,7 +22,7 @@ f |c - C| + u K, and |c - C| <= K stays so at every step, with
 at the largest f, |g| and I and the smallest u.
 
 The features are the same in both but for an error that is known, and all gates of a step are of the
-same ones. So what they can be is halved again and again (`zerodrift.operations.lstm.parts`), and
+same ones. So what they can be is halved again and again (`zerodrift.operations.lstm.error`), and
 what a step adds is bounded for each part by itself: m is the largest of |I G| / U over the parts, K
 and F(e) the largest of what follows for each. At every step the features lie in one of them, and
 what is said above of a step needs no more.
@@ -59,15 +59,304 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 
+import numpy as np
+
 from zerodrift.base.errors import NoRuleError
 from zerodrift.operations.enclosure import enclose_exp, shorten
 from zerodrift.operations.errors import NONE, ZERO, Error, Known, require
-from zerodrift.operations.gate_sums import RealUnit, propose_errors, weigh
+from zerodrift.operations.gate_sums import GateArgument, GateSums, RealUnit, propose_errors, weigh
 from zerodrift.operations.gru.cell import RELAX_STEPS
-from zerodrift.operations.lstm.cell import IntegerLstm
-from zerodrift.operations.lstm.parts import FloatGate, halve
-from zerodrift.operations.lstm.step_error import ONE, QUARTER, LstmStepError, Moved, StepRules
-from zerodrift.operations.table_error import bound_sigmoid
+from zerodrift.operations.lstm.cell import CELL_LIMIT, IntegerLstm
+from zerodrift.operations.tables import (
+    T_MAX,
+    SigmoidError,
+    bound_sigmoid,
+    bound_sigmoid_table,
+    bound_slope,
+    bound_tanh,
+    sigmoid_q31,
+)
+
+# Halves what an LSTM's features can be, so that its gates are taken at their worst together.
+#
+# Any way to halve is sound: at each step the features lie in one of the parts. Which part is halved
+# next is chosen in floating point, as docs/reference/error-bound.md states it, so that whoever
+# derives the bound again comes to the same parts.
+
+Box = tuple[tuple[int, int], ...]
+"""The lowest and highest integer of every feature."""
+
+HALVINGS = 48
+WAYS = ("size", "cell", "cell", "output", "cell", "cell")
+"""What the part that is halved next is the worst in, in turn."""
+OF_TABLE = 2.0**-14
+LARGEST = 40.0
+OUTPUT = 3
+
+
+@dataclass(frozen=True)
+class FloatGate:
+    """A gate's argument: bias + sum of weight times integer, and what the chip adds to it."""
+
+    bias: float
+    weights: tuple[float, ...]
+    """Of a count of each feature."""
+    states: float
+    """The sum of the sizes of the states' weights."""
+    gap: float
+    gaps: tuple[float, ...]
+    """By how much the chip's weight of a count is larger."""
+    off: float
+    """What else both may be apart."""
+
+    def reach(self, box: Box) -> tuple[float, float, float]:
+        """Return the lowest and highest argument, and the most that the chip's is off."""
+        low, high = self.bias - self.states, self.bias + self.states
+        gap_low = gap_high = self.gap
+        for (first, last), weight, gap in zip(box, self.weights, self.gaps, strict=True):
+            low += min(weight * first, weight * last)
+            high += max(weight * first, weight * last)
+            gap_low += min(gap * first, gap * last)
+            gap_high += max(gap * first, gap * last)
+        return low, high, max(abs(gap_low), abs(gap_high)) + self.off
+
+
+@dataclass(frozen=True)
+class Worst:
+    """How bad a part is, in about what is bounded later on."""
+
+    size: float
+    """Of the cell state."""
+    added: float
+    """To the cell state's error, but for the forget gate's."""
+    of_forget: float
+    """To it for each 1 that the cell state is."""
+    most: float
+    """The output gate."""
+    of_output: float
+    """What the output gate is off."""
+
+
+def halve(gates: Sequence[FloatGate], box: Box) -> list[Box]:
+    """Return parts that cover a box, `HALVINGS` more than one, or fewer where they are points.
+
+    Args:
+        gates: i, f, g, o of a unit.
+        box: all that the features can be.
+    """
+    parts = [(box, _judge(gates, box))]
+    for turn in range(HALVINGS):
+        way = WAYS[turn % len(WAYS)]
+        size = max(worst.size for _, worst in parts)
+        cell = max(worst.added + worst.of_forget * size for _, worst in parts)
+        scores = [_score(worst, way, size, cell) for _, worst in parts]
+        k = max(range(len(parts)), key=scores.__getitem__)
+        halves = _cut(gates[OUTPUT:] if way == "output" else gates[:OUTPUT], parts[k][0])
+        parts[k : k + 1] = [(half, _judge(gates, half)) for half in halves]
+    return [part for part, _ in parts]
+
+
+def _score(worst: Worst, way: str, size: float, cell: float) -> float:
+    if way == "size":
+        return worst.size
+    if way == "cell":
+        return worst.added + worst.of_forget * size
+    return worst.most * cell + worst.of_output
+
+
+def _judge(gates: Sequence[FloatGate], box: Box) -> Worst:
+    i, f, g, o = (gate.reach(box) for gate in gates)
+    gain = 1.0 + math.exp(min(f[1], LARGEST))
+    most_i, most_g = _sigmoid(i[1]), max(abs(math.tanh(g[0])), abs(math.tanh(g[1])))
+    of_i = _slope(i[0] / 2.0, i[1] / 2.0) / 4.0 * i[2] + OF_TABLE / 2.0
+    of_g = _slope(g[0], g[1]) * g[2] + OF_TABLE
+    of_o = _slope(o[0] / 2.0, o[1] / 2.0) / 4.0 * o[2]
+    size = gain * most_i * most_g
+    added = gain * (most_i * of_g + most_g * of_i)
+    return Worst(size, added, f[2] + OF_TABLE, _sigmoid(o[1]), of_o)
+
+
+def _cut(gates: Sequence[FloatGate], box: Box) -> list[Box]:
+    """Return the halves of a box by the feature that moves the arguments most."""
+    moved = [
+        (last - first) * sum(abs(gate.weights[k]) for gate in gates)
+        for k, (first, last) in enumerate(box)
+    ]
+    k = moved.index(max(moved))
+    first, last = box[k]
+    if first == last:
+        return [box]
+    middle = (first + last) // 2
+    return [(*box[:k], ends, *box[k + 1 :]) for ends in ((first, middle), (middle + 1, last))]
+
+
+def _sigmoid(x: float) -> float:
+    return 1.0 / (1.0 + math.exp(min(-x, LARGEST)))
+
+
+def _slope(low: float, high: float) -> float:
+    """Return the largest slope of tanh."""
+    return 1.0 - math.tanh(max(low, -high, 0.0)) ** 2
+
+
+# How far a step of one unit of an integer LSTM is from that of real arithmetic.
+#
+# For the derivation see `zerodrift.operations.lstm.error`.
+
+Moved = Sequence[Fraction]
+"""By how much the arguments of i, f, g, o are moved by errors of the outputs."""
+ONE, QUARTER = Fraction(1), Fraction(1, 4)
+OF_BEND = Fraction(1, 1 << 17)
+"""The cell state is rounded to the table's argument, counts of 2**-16."""
+OF_OUTPUT = Fraction(1, 1 << 30)
+"""o tanh(c) is rounded to counts of 2**-29."""
+HIGHEST = 11
+"""The largest argument of a forget gate: 1 - F is then above 2**-16, as the way to rest has it."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """How far a gate is off, how much by what its argument is, and the most that it is."""
+
+    error: Error
+    slope: Fraction
+    most: Fraction
+    """Of its size, on the chip and in real arithmetic."""
+
+
+@dataclass(frozen=True)
+class Forget:
+    """A forget gate: its argument, how far the table of 1 - f is off, the most and least it is."""
+
+    argument: GateArgument
+    table: SigmoidError
+    most: Fraction
+    left: Fraction
+    """The least 1 - f, on the chip and in real arithmetic."""
+
+    @property
+    def factor(self) -> Fraction:
+        """What exp(d) (exp(d) - 1) is multiplied by in s."""
+        return (1 + self.table.share + self.table.rest) * (1 + self.table.share)
+
+    @property
+    def of_s(self) -> Fraction:
+        """s f + t = s (f + r) + r."""
+        return self.most + self.table.rest
+
+
+@dataclass(frozen=True)
+class LstmStepError:
+    """What a step of one unit adds to errors while the features lie in one part.
+
+    The errors e of the outputs move the arguments of i, f, g, o by four numbers, which are given.
+    """
+
+    own: Error
+    """K at e = 0 without the forget gate."""
+    of_input: Fraction
+    """By how much K grows with what the input gate's argument is moved by."""
+    of_candidate: Fraction
+    forget: Forget
+    size: Fraction
+    """The largest |I G| / U."""
+    reach: Fraction
+    """The largest |C| and |c| that steps within the part lead to, with what is rounded."""
+    output: Gate
+    after: Error
+    """What the table of tanh and the last roundings add."""
+
+    def slip(self, moved: Moved) -> Fraction:
+        """Return d."""
+        return self.forget.argument.error.total + moved[1]
+
+    def of_forget(self, d: Fraction) -> Fraction:
+        """Return s f + t; exp(d) (exp(d) - 1) <= d (1 + 2 d) to d = 1/4."""
+        table = self.forget.table
+        s = table.share + self.forget.factor * d * (1 + 2 * d)
+        return self.forget.of_s * s + table.rest
+
+    def grow_cell(self, moved: Moved, size: Fraction) -> Fraction:
+        """Return K(e) for cell states of up to a size."""
+        added = self.own.total + self.of_input * moved[0] + self.of_candidate * moved[2]
+        return added + size * self.of_forget(self.slip(moved))
+
+    def grow_output(self, moved: Moved, cell: Fraction, bend: Fraction) -> Fraction:
+        """Return F(e) for a K(e) and the largest tanh(m)."""
+        gate = self.output.error.total + self.output.slope * moved[3]
+        return self.output.most * cell + bend * gate + self.after.total
+
+
+class StepRules(GateSums):
+    """The error rules of one layer."""
+
+    def __init__(
+        self, lstm: IntegerLstm, units: Sequence[RealUnit], features: Sequence[Known]
+    ) -> None:
+        super().__init__(lstm, units, features)
+        self._lstm = lstm
+        self._tanh = bound_tanh() / (1 << 30)
+
+    @property
+    def most(self) -> Fraction:
+        """The largest cell state that its integer holds."""
+        return Fraction(CELL_LIMIT, 1 << self._lstm.cell_bits)
+
+    def list_gains(self, j: int) -> tuple[tuple[Fraction, ...], ...]:
+        """Return [4][H] how much the argument of i, f, g, o is moved by each output's error."""
+        return tuple(tuple(map(abs, row)) for row in self._units[j].w_h)
+
+    def bound_step(self, j: int, features: Sequence[Known]) -> LstmStepError:
+        """Return what one step makes of the errors, for unit j and features within a part.
+
+        Raises:
+            NoRuleError: a forget gate might come too near to 1.
+        """
+        i, o = self._bound_gate(0, j, features), self._bound_gate(3, j, features)
+        g, forget = self._bound_candidate(j, features), self._bound_forget(j, features)
+        rounded = Fraction(2, 1 << self._lstm.cell_bits) + Fraction(1, 1 << 30)
+        added = i.error.scale(g.most) + g.error.scale(i.most) + Error(rounding=rounded)
+        of_input = shorten(g.most * i.slope / forget.left)
+        of_candidate = shorten(i.most * g.slope / forget.left)
+        size = shorten(i.most * g.most / forget.left)
+        reach = (i.most * g.most + rounded) / forget.left
+        after = Error(table=self._tanh, rounding=OF_BEND).scale(o.most) + Error(rounding=OF_OUTPUT)
+        own = added.scale(1 / forget.left)
+        return LstmStepError(own, of_input, of_candidate, forget, size, reach, o, after)
+
+    def _bound_gate(self, g: int, j: int, features: Sequence[Known]) -> Gate:
+        """Return what is known of the input or output gate."""
+        a = self._bound_argument(g, j, features=features)
+        slope = shorten(bound_slope(a.low / 2, a.high / 2)) / 4
+        most = min(shorten(bound_sigmoid(a.high).high + self._tanh / 2), ONE)
+        low, high = math.floor(a.low * (1 << 15)), math.ceil(a.high * (1 << 15))
+        of_line = bound_sigmoid_table(low, high)
+        near_0 = of_line.share * min(most, QUARTER) + of_line.rest * most
+        error = a.error.scale(slope) + Error(table=shorten(min(self._tanh / 2, near_0)))
+        return Gate(error, slope, most)
+
+    def _bound_candidate(self, j: int, features: Sequence[Known]) -> Gate:
+        a = self._bound_argument(2, j, 16, features)
+        slope = shorten(bound_slope(a.low, a.high))
+        size = max(abs(a.low), abs(a.high))
+        most = min(shorten(2 * bound_sigmoid(2 * size).high - 1 + self._tanh), ONE)
+        error = a.error.scale(slope) + Error(table=self._tanh)
+        return Gate(error, slope, most)
+
+    def _bound_forget(self, j: int, features: Sequence[Known]) -> Forget:
+        a = self._bound_argument(1, j, features=features)
+        require(
+            a.high <= HIGHEST,
+            "no contraction of an LSTM is shown: its forget gate comes so near to 1 that it hardly"
+            " forgets; [network] contracting = true trains one that stays away from it",
+        )
+        low, high = math.floor(a.low * (1 << 15)), math.ceil(a.high * (1 << 15))
+        largest = int(sigmoid_q31(np.array([min(high, T_MAX)]))[0])
+        most = min(shorten(bound_sigmoid(a.high).high + self._tanh / 2), ONE)
+        left = Fraction((1 << 31) - largest, 1 << 31)
+        table = bound_sigmoid_table(-high, -low)
+        return Forget(a, table, most, min(left, bound_sigmoid(-a.high).low))
+
 
 TRIES = 40
 

@@ -19,11 +19,11 @@ from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.octave import bound_power_octave
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation
 from zerodrift.operations.polynomial import (
     bound_polynomial,
+    bound_power_octave,
     evaluate_polynomial,
     fit_octave,
     write_polynomial,
