@@ -38,7 +38,7 @@ from unicorn.riscv_const import (
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
-from zerodrift.c_runtime.elf import is_constant, list_symbols
+from zerodrift.c_runtime.footprint import is_constant, list_symbols
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel

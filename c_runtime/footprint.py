@@ -1,27 +1,69 @@
-"""Flash, RAM and stack of a generated model on a chip, read from what a cross-compiler makes of it.
-
-The compiler is the clang inside the `ziglang` wheel, so that no toolchain has to be installed, or
-the GNU one. Stack frames are what the compiler says of itself: clang's -fstack-size-section, gcc's
--fstack-usage.
-Flash counts code and constants of model and runtime, self-test included (a linker drops it where it
-is not called), the compiler's helper routines (64-bit arithmetic on small cores) excluded. RAM is
-the state struct; stack is the deepest chain of calls below any function that the firmware calls. It
-is one compiler's with one set of flags: another one's frames differ.
-"""
+"""Flash, RAM, stack and symbols of a compiled program, as compilers and pyelftools tell them."""
 
 import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.relocation import RelocationSection
+from elftools.elf.sections import SymbolTableSection
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.cores import find_cross_compilers
-from zerodrift.c_runtime.elf import list_symbols
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
+
+# The symbols of a compiled program, as pyelftools reads them.
+
+
+@dataclass(frozen=True)
+class ElfSymbol:
+    """A name of a program and what lies there."""
+
+    name: str
+    value: int
+    """Its address, or a number that an assembler was told."""
+    size: int
+    """Bytes."""
+    kind: str
+    """Of the format's own words: STT_FUNC, STT_OBJECT, ..."""
+    section: int | str
+    """The number of its section, or SHN_UNDEF for what another object holds, SHN_ABS, ..."""
+
+
+def list_symbols(image: ELFFile) -> list[ElfSymbol]:
+    """Return the symbols in their order.
+
+    Raises:
+        CheckError: the program has no table of them.
+    """
+    table = image.get_section_by_name(".symtab")
+    if not isinstance(table, SymbolTableSection):
+        raise CheckError("the compiled program has no table of symbols; it was stripped")
+    return [
+        ElfSymbol(s.name, s["st_value"], s["st_size"], s["st_info"]["type"], s["st_shndx"])
+        for s in table.iter_symbols()
+    ]
+
+
+def is_constant(image: ELFFile, symbol: ElfSymbol) -> bool:
+    """Return whether a symbol names what the program cannot write to."""
+    if not isinstance(symbol.section, int):
+        return False
+    return not image.get_section(symbol.section)["sh_flags"] & SH_FLAGS.SHF_WRITE
+
+
+# Flash, RAM and stack of a generated model on a chip, read from what a cross-compiler makes of it.
+#
+# The compiler is the clang inside the `ziglang` wheel, so that no toolchain has to be installed, or
+# the GNU one. Stack frames are what the compiler says of itself: clang's -fstack-size-section,
+# gcc's -fstack-usage. Flash counts code and constants of model and runtime, self-test included (a
+# linker drops it where it is not called), the compiler's helper routines (64-bit arithmetic on
+# small cores) excluded. RAM is the state struct; stack is the deepest chain of calls below any
+# function that the firmware calls. It is one compiler's with one set of flags: another one's frames
+# differ.
 
 FLAGS = (
     "-std=c99",

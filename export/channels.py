@@ -14,19 +14,20 @@ from zerodrift.dataset.chip_codes import (
     CLOCK,
     MEASURED,
     RANGE_MARGIN,
+    RAW_LIMITS,
     TEMPERATURE,
     ChipCodes,
+    RawCover,
     choose_codes,
     find_junction_span,
 )
 from zerodrift.dataset.conversions import convert, find_span, measure_slope
-from zerodrift.dataset.raw_codes import RAW_LIMITS, RawCover
 from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import LOAD
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
+from zerodrift.operations.backend import Node, list_nodes
 from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
-from zerodrift.operations.graph import Node, list_nodes
 
 # Chooses the table by which the chip converts raw codes: as small as its error allows.
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.dataset.bridges import predict_along
 from zerodrift.dataset.chip_codes import (
     FLAG_MARGIN_K,
     MEASURED,
@@ -20,7 +19,7 @@ from zerodrift.dataset.chip_codes import (
     read_source,
     refuse_outside,
 )
-from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.dataset.runs import Dataset, Run, predict_along
 from zerodrift.export.channels import list_channels
 from zerodrift.export.encoding import encode_channel, find_held
 from zerodrift.export.float_model import Calibration, FloatModel
@@ -36,10 +35,9 @@ from zerodrift.export.onnx_reader import ImportedNetwork, read_imported_bytes
 from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.operations.backend import GraphOperations, evaluate
+from zerodrift.operations.backend import GraphOperations, Node, evaluate, list_nodes
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
-from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.operations.times import count_us
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
 from zerodrift.physics.summary import summarise_model

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array, Mask
+from zerodrift.dataset.chip_codes import RawRange, find_code
 from zerodrift.dataset.conversions import convert
-from zerodrift.dataset.raw_codes import RawRange, find_code
 from zerodrift.export.integer_model import Channel, IntegerModel, order_conversions
 from zerodrift.operations.arithmetic import CodeArray, IntArray
 

@@ -15,11 +15,10 @@ from zerodrift.base.errors import NoRuleError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.arithmetic import INT16_MAX
-from zerodrift.operations.enclosure import shorten
 from zerodrift.operations.errors import NONE, Error, Known, bound_in_place
 from zerodrift.operations.gate_sums import COPY
 from zerodrift.operations.input import IntegerInput
-from zerodrift.operations.intervals import Interval
+from zerodrift.operations.intervals import Interval, shorten
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.recurrent import STATE, WAYS, IntegerRecurrent
 from zerodrift.operations.signals import Real, Signal

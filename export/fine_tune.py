@@ -25,14 +25,13 @@ from zerodrift.export.quantize_layers import quantize_layers, quantize_state_rea
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from zerodrift.train.attempts import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.onnx_export import OnnxNetwork, build_onnx
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Tuning
 
 if TYPE_CHECKING:  # PyTorch is loaded where something is tuned
-    from zerodrift.train.fine_tune import Tuned
-    from zerodrift.train.integer_network import IntegerGruNetwork
+    from zerodrift.train.integer_network import IntegerGruNetwork, Tuned
 
 FOLDER, LAYERS = "int8", "layers.npz"
 """Of the build directory, where the fine-tuned layers are kept."""
@@ -55,7 +54,7 @@ def tune_for_int8(
         InputError: PyTorch is not installed.
     """
     require(TRAIN, '[quantization] weights = "int8"')
-    from zerodrift.train.fine_tune import fine_tune
+    from zerodrift.train.integer_network import fine_tune
 
     network = model.network
     assert isinstance(network, FloatNetwork)

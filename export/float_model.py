@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
-from zerodrift.dataset.bridges import predict_all, predict_along
 from zerodrift.dataset.chip_codes import TEMPERATURE
-from zerodrift.dataset.runs import Run
+from zerodrift.dataset.runs import Run, predict_all, predict_along
 from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
-from zerodrift.operations.backend import evaluate
+from zerodrift.operations.backend import Node, evaluate, list_nodes
 from zerodrift.operations.dense import FloatFeedForward
-from zerodrift.operations.graph import Node, list_nodes
 from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
 from zerodrift.physics.summary import ModelSummary
 

@@ -11,16 +11,9 @@ import numpy as np
 import onnx
 
 from zerodrift.base.arrays import Array
-from zerodrift.export.onnx_shapes import (
+from zerodrift.export.onnx_values import (
     RESHAPED,
     Attributes,
-    Operator,
-    axes_of,
-    concat_shapes,
-    is_data,
-    pick_array,
-)
-from zerodrift.export.onnx_values import (
     Axis,
     Constant,
     Dims,
@@ -28,13 +21,18 @@ from zerodrift.export.onnx_values import (
     Moment,
     OnnxSignal,
     OnnxSource,
+    Operator,
     Pending,
     RawInput,
     Refused,
     Unsupported,
     Value,
+    axes_of,
     bind,
+    concat_shapes,
+    is_data,
     join_signals,
+    pick_array,
 )
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru import onnx as gru_onnx

@@ -21,8 +21,8 @@ from zerodrift.base.errors import InputError, nearest
 from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.onnx_cells import restore_cells
 from zerodrift.export.onnx_operators import OPERATORS, OUTSIDE, REMEDIES, SUPPORTED, combine
-from zerodrift.export.onnx_shapes import RESHAPING
 from zerodrift.export.onnx_values import (
+    RESHAPING,
     Axis,
     Constant,
     Fill,

@@ -22,10 +22,9 @@ from zerodrift.base.records import (
     render_sealed,
     to_dict,
 )
-from zerodrift.dataset.bridges import predict_all, predict_along
-from zerodrift.dataset.runs import Run
+from zerodrift.dataset.runs import Run, predict_all, predict_along
+from zerodrift.operations.backend import list_nodes
 from zerodrift.operations.dense import FloatFeedForward
-from zerodrift.operations.graph import list_nodes
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import ModelRecord, PhysicalModel
 from zerodrift.train.front_end import FrontEnd

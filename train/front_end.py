@@ -19,8 +19,7 @@ from scipy.linalg import solve_triangular
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import GraphOperations, Node, NumpyOperations, Operations
 
 S = TypeVar("S")
 

@@ -12,6 +12,7 @@ counts. Arrays run [time, channel, sequence].
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -20,11 +21,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from zerodrift.base.arrays import Array
+from zerodrift.base.errors import InputError
 from zerodrift.operations.arithmetic import IntArray, round_shift
 from zerodrift.operations.dense import COPY_BITS, IntegerDense
 from zerodrift.operations.gru.cell import FloatGru, IntegerGru
+from zerodrift.train.attempts import Problem
+from zerodrift.train.engine import train_networks
 from zerodrift.train.networks import Network, Parameters, read_array
 from zerodrift.train.recurrence import GruTrace, GruWeights, run_backward
+from zerodrift.train.sequences import Sequence32
+from zerodrift.train.settings import Settings, Tuning
 
 Quantizer = Callable[[Sequence[FloatGru]], Sequence[IntegerGru]]
 """What turns the weights in training into those of the chip, layer by layer from the bottom."""
@@ -300,3 +306,61 @@ class _IntegerHead(torch.autograd.Function):
     def backward(ctx: _IntegerContext, *grads: Tensor) -> tuple[None, Tensor]:
         """Return the gradient of the results."""
         return None, torch.from_numpy(ctx.head.rows.T / COPY_ONE) @ grads[0]
+
+
+# A short training of trained GRUs in the chip's own arithmetic, for coarse weights.
+#
+# The integer network learns to answer as the float one does, over the training runs' features as
+# the chip computes them. What the float network has learnt from the measurements is not learnt
+# again, so that noise, tares and held-out runs have no part in it.
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a fine-tuning gave."""
+
+    layers: tuple[FloatGru, ...]
+    """Weights whose quantized form answers best, from the bottom up; the first ones if no other did
+    better."""
+    before: float
+    """RMS difference from the float network before, in shares of the float network's answer."""
+    after: float
+    epoch: int
+    """0: the first weights were kept."""
+
+
+def fine_tune(
+    network: IntegerGruNetwork,
+    sequences: Sequence[Sequence32],
+    memory: str | int,
+    settings: Tuning | None = None,
+    report: Callable[[float, float], None] = lambda done, rms: None,
+) -> Tuned:
+    """Train an integer network towards the targets; the same inputs give the same weights.
+
+    Args:
+        network: starts from trained weights, and is changed.
+        sequences: features in counts, targets from the float network in the network's scale.
+        memory: "stream", or the window's length in samples.
+        settings: the recipe.
+        report: is told the share that is done and the difference so far.
+    """
+    s = settings or Tuning()
+    recipe = Settings(
+        memory=memory,
+        seed=s.seed,
+        starts=(0,),
+        epochs=s.epochs,
+        learning_rate=s.learning_rate,
+        weight_decay=0.0,
+        chunk=s.chunk,
+        batch=s.batch,
+        warm_up=s.warm_up,
+        evaluations=s.evaluations,
+    )
+    problem = Problem(lambda _: network, sequences, sequences, recipe)
+    (found,) = train_networks([problem], report=lambda p: report(p.done, p.best_rmse))
+    if isinstance(found, InputError):
+        raise found
+    network.load_state_dict({k: torch.from_numpy(v) for k, v in found.weights.items()})
+    return Tuned(network.to_float(), found.rmse_without, found.rmse, found.epoch)

@@ -16,8 +16,8 @@ from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.compensator import Compensator, calibrate
 from zerodrift.train.scores import Trained
+from zerodrift.train.sequences import Split, split_runs
 from zerodrift.train.settings import Settings
-from zerodrift.train.split import Split, split_runs
 from zerodrift.train.stages import Stages, fit_physics, fit_stages
 
 RATE = 5e-3

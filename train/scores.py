@@ -8,7 +8,7 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.train.compensator import Compensator
-from zerodrift.train.split import Split
+from zerodrift.train.sequences import Split
 
 WORTH_ITS_FLASH = 0.97
 """What learns the rest is kept if it brings the error on held-out runs below this multiple."""

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from zerodrift.base.column_config import ConversionConfig, DividerConfig, sum_formula
 from zerodrift.base.errors import InputError
 from zerodrift.codegen.generate import generate
-from zerodrift.dataset.conversions import emf
-from zerodrift.dataset.raw_codes import (
+from zerodrift.dataset.chip_codes import (
     SUM_LIMITS,
     RawRange,
     choose_fraction_bits,
     cover_range,
     find_range,
 )
+from zerodrift.dataset.conversions import emf
 from zerodrift.export.channels import JunctionCodes, design_conversion
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat

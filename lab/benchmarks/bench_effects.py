@@ -21,8 +21,7 @@ from zerodrift.export.float_model import Calibration, FloatModel, predict_fed_ba
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
-from zerodrift.operations.backend import GraphOperations, evaluate
-from zerodrift.operations.graph import list_nodes
+from zerodrift.operations.backend import GraphOperations, evaluate, list_nodes
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import graph_inputs, name_signals, plan_signals, read_signals

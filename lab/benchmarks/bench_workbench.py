@@ -25,8 +25,7 @@ import polars
 from benchmarks.page_marks import CASES, count_faults, list_marks, measure_first, see_cause
 from zerodrift.base.records import to_dict
 from zerodrift.workbench.chart import draw_wish
-from zerodrift.workbench.events import DIAGNOSED
-from zerodrift.workbench.jobs import EVENT_MARK
+from zerodrift.workbench.jobs import DIAGNOSED, EVENT_MARK
 from zerodrift.workbench.server import Workbench
 from zerodrift.workbench.state import PictureWish
 from zerodrift.workbench.workplace import CHILD

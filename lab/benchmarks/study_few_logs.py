@@ -18,7 +18,7 @@ from benchmarks.bench_plan import PAIRS, Key, Trial, choose_truth, run_trials
 from benchmarks.study_likely import expect
 from zerodrift.discovery import criterion, plan
 from zerodrift.discovery.limits import Limits
-from zerodrift.discovery.patterns import choose_spaces
+from zerodrift.discovery.search import choose_spaces
 
 PLANS = ((1, 1.0, 0.6), (2, 2.0, 0.5), (2, 1.25, 0.8), (1, 1.75, 0.45))
 """Logs, hours and size."""

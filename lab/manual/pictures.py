@@ -12,8 +12,7 @@ from scipy.stats import t as student
 
 from zerodrift.diagnosis.evidence import flip_signs
 from zerodrift.operations.arithmetic import round_shift
-from zerodrift.report.figures import draw_fingerprint
-from zerodrift.report.style import ACCENT, FLOOR, HEATING, LEFT, apply_style
+from zerodrift.report.figures import ACCENT, FLOOR, HEATING, LEFT, apply_style, draw_fingerprint
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from tests.operations import test_conversion as one_code
 from tests.operations import test_thermocouple as couples
 from zerodrift.base.column_config import ConversionConfig, DividerConfig
 from zerodrift.codegen.generate import generate
+from zerodrift.dataset.chip_codes import RawRange, cover_range, find_range
 from zerodrift.dataset.conversions import convert
-from zerodrift.dataset.raw_codes import RawRange, cover_range, find_range
 from zerodrift.export.channels import design_conversion
 from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat

@@ -12,14 +12,14 @@ from tests.golden.model_factory import Shape, draw_float_model
 from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import bound_errors, round_up
 from zerodrift.export.quantize import quantize_graph
-from zerodrift.operations.enclosure import (
+from zerodrift.operations.exp2 import OCTAVE_Q29
+from zerodrift.operations.intervals import (
     enclose_exp,
     enclose_exp2,
     enclose_log,
     enclose_power,
     shorten,
 )
-from zerodrift.operations.exp2 import OCTAVE_Q29
 from zerodrift.operations.polynomial import (
     bound_exp2_octave,
     bound_power_octave,

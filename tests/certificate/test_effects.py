@@ -24,7 +24,7 @@ from zerodrift.export.compose import (
     predict_integer,
 )
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.verify.error_budget import measure_budget
+from zerodrift.verify.chip_error import measure_budget
 from zerodrift_proof.certificate.check import compare
 
 WITH = (EffectConfig("zero_tempco", {"order": 2}), EffectConfig("dark_current"))

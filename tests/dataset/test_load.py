@@ -4,7 +4,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from zerodrift.dataset.describe import describe, measure_rate
 
 HEADER = ("time_s", "temperature_degC", "Fz_N", "ref_Fz_N")
 
@@ -266,24 +265,6 @@ def test_load_notes_a_log_that_is_a_little_coarser(project, rows):
     dataset = project.load()
     assert dataset.notes == ("log.csv: a row every 1.25 s is interpolated to steps of 1 s",)
     np.testing.assert_allclose(dataset.train[0].temperature_degC, 20 + 0.2 * np.arange(49.0))
-
-
-def test_describe_tells_runs_duration_temperatures_rates_and_units(project, rows):
-    project.write_log(rows(600), "long.csv")
-    text = describe(project.load(train_logs=("long.csv",), test_logs=("log.csv",)))
-    lines = text.splitlines()
-    assert lines[0] == (
-        "train  1 run, 10 min (600 steps of 1 s), 20 to 169.8 degC, +15 to +15 K/min"
-    )
-    assert lines[1].startswith("test   1 run, 40 s (40 steps of 1 s)")
-    assert lines[2] == "Fz: drift -7 to 1790 N in the train logs, full scale 2000 N"
-
-
-def test_measure_rate_reads_a_ramp_in_kelvin_per_second(project, rows):
-    project.write_log(rows(600))
-    rate = measure_rate(project.load().train[0])
-    assert rate.shape == (540,)
-    np.testing.assert_allclose(rate, 0.25, rtol=1e-12)
 
 
 def test_real_load_cell_splits_in_time(project, real_log):

@@ -9,8 +9,7 @@ import pytest
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
 from zerodrift.fleet.design import Design
-from zerodrift.fleet.executors import OverRay, Serial
-from zerodrift.fleet.run import run_fleet
+from zerodrift.fleet.run import OverRay, Serial, run_fleet
 
 
 class RayError(Exception):
@@ -85,9 +84,9 @@ def test_ray_that_is_not_installed_is_told(fleet, zerodrift, monkeypatch):
 
 
 def test_interrupt_keeps_what_was_done(fleet, zerodrift, monkeypatch):
-    from zerodrift.fleet import executors
+    from zerodrift.fleet import run
 
-    work_on, done = executors.work_here, []
+    work_on, done = run.work_here, []
 
     def interrupt(design, sensors):
         if done:
@@ -95,11 +94,11 @@ def test_interrupt_keeps_what_was_done(fleet, zerodrift, monkeypatch):
         done.append(sensors)
         return work_on(design, sensors)
 
-    monkeypatch.setattr(executors, "work_here", interrupt)
+    monkeypatch.setattr(run, "work_here", interrupt)
     result = zerodrift("fleet", "-C", fleet, "--jobs", 1, "--batch", 1)
     assert result.code == 130
     assert "stopped: 1 of 3 sensors are done and kept" in result.err
-    monkeypatch.setattr(executors, "work_here", work_on)
+    monkeypatch.setattr(run, "work_here", work_on)
     result = zerodrift("fleet", "-C", fleet, "--jobs", 1, "--json")
     assert [r["kept"] for r in json.loads(result.out)["results"]] == [True, False, False]
 

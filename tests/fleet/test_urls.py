@@ -16,8 +16,7 @@ from tests.fleet.hidden_ray import HiddenRay
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.fleet.design import Design
-from zerodrift.fleet.executors import OverRay, Serial
-from zerodrift.fleet.run import run_fleet
+from zerodrift.fleet.run import OverRay, Serial, run_fleet
 from zerodrift.fleet.sensors import fetch
 
 fsspec = pytest.importorskip("fsspec")

@@ -12,8 +12,7 @@ from tests.projects import render_toml
 from zerodrift.base.config import load_config
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.load import load_dataset
-from zerodrift.export.compose import compose_integer_model, describe_compensator
-from zerodrift.export.compose import describe_imported
+from zerodrift.export.compose import compose_integer_model, describe_compensator, describe_imported
 from zerodrift.export.onnx_reader import read_imported
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.compensator import Compensator

@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.float_network import Cell, FloatLayer, FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.float_network import Cell, FloatLayer, FloatLayeredNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import Node
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm

@@ -42,8 +42,8 @@ NAMED = (
         "train/networks.py",
         "weights by the names under which a network is trained",
     ),
-    ("trace", "src/zerodrift/verify/error_budget.py", "arrays by the names of a graph's nodes"),
-    ("known", "src/zerodrift/verify/error_budget.py", "arrays by the names of a graph's nodes"),
+    ("trace", "src/zerodrift/verify/chip_error.py", "arrays by the names of a graph's nodes"),
+    ("known", "src/zerodrift/verify/chip_error.py", "arrays by the names of a graph's nodes"),
     ("values", "export/fine_tune.py", "arrays by the names of a graph's nodes"),
     ("intervals", "export/quantize_layers.py", "intervals by the names of a graph's nodes"),
     ("nodes", "*", "arrays by the names of a graph's nodes, and of their states"),
@@ -67,7 +67,6 @@ NAMED = (
 EDGES = {
     "src/zerodrift/dataset/formats/*": "readers of other programs' logs",
     "c_runtime/footprint.py": "pyelftools hands out an ELF file by the format's own names",
-    "c_runtime/elf.py": "the same",
     "c_runtime/emulator.py": "the same",
     "train/attempts.py": "the reader of checkpoints, which yields where each attempt stood",
     "export/model_files.py": "the reader of model.json, which yields the nodes as dataclasses",
@@ -82,7 +81,7 @@ PROOF = "proof/zerodrift_proof"
 """A distribution of its own, whose rooms share nothing: a name of a class is its room's."""
 KEPT_ANY = {
     "export/onnx_reader.py": "attributes of an ONNX node, which onnx hands out as any of ten types",
-    "export/onnx_shapes.py": "the same, and the arrays of its tensors",
+    "export/onnx_values.py": "the same, and the arrays of its tensors",
     "src/zerodrift/operations/gru/onnx.py": "the same",
     "train/onnx_export.py": "arrays of the tensors of an ONNX file",
 }

@@ -16,7 +16,7 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator, predict_integer
 from zerodrift.export.quantize import quantize
 from zerodrift.train.compensator import Compensator
-from zerodrift.verify.error_budget import ErrorBudget, measure_budget, repeat_run
+from zerodrift.verify.chip_error import ErrorBudget, measure_budget, repeat_run
 
 
 def measure(

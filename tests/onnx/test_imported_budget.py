@@ -23,7 +23,7 @@ from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import calibrate, describe_imported, predict_integer
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.export.quantize import quantize
-from zerodrift.verify.error_budget import ErrorBudget, measure_budget
+from zerodrift.verify.chip_error import ErrorBudget, measure_budget
 
 NETWORKS = {
     "one layer, stream": export(Form(state=True, batch_first=False, hidden=6)),

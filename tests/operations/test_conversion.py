@@ -13,8 +13,8 @@ from zerodrift.base.column_config import ConversionConfig, DividerConfig
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
+from zerodrift.dataset.chip_codes import RawCover, RawRange, cover_range, find_code, find_range
 from zerodrift.dataset.conversions import convert
-from zerodrift.dataset.raw_codes import RawCover, RawRange, cover_range, find_code, find_range
 from zerodrift.export.channels import design_conversion
 from zerodrift.export.encoding import encode_channel, round_channel
 from zerodrift.export.integer_model import (

@@ -12,8 +12,7 @@ from tests.oracle.machine import Oracle
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.codegen.generate import generate
 from zerodrift.export.reference import Reference
-from zerodrift.operations.backend import GraphOperations, NumpyOperations
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import GraphOperations, Node, NumpyOperations
 
 LARGEST_ERROR = 2.0**-19
 """The format of the inputs, which no extremum makes coarser: 2**-12 of a code of 2**-7."""

@@ -1,7 +1,6 @@
 import numpy as np
 
-from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate
-from zerodrift.operations.graph import list_nodes
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate, list_nodes
 
 
 def build_everything(ops, x, z):

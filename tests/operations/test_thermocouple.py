@@ -14,14 +14,14 @@ from zerodrift.base.column_config import ConversionConfig, DividerConfig, sum_fo
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.dataset.conversions import convert, emf
-from zerodrift.dataset.raw_codes import (
+from zerodrift.dataset.chip_codes import (
     SUM_LIMITS,
     RawRange,
     choose_fraction_bits,
     cover_range,
     find_range,
 )
+from zerodrift.dataset.conversions import convert, emf
 from zerodrift.export.channels import JunctionCodes, design_conversion
 from zerodrift.export.encoding import encode_channel
 from zerodrift.export.integer_model import FLAG_NO_READING, Channel, IntegerModel

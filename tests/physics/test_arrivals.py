@@ -15,9 +15,8 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_terms, flat_weights
 from zerodrift.physics.model import ModelRecord, PhysicalModel
 from zerodrift.physics.search import search
-from zerodrift.physics.signals import plan_signals
+from zerodrift.physics.signals import build_stretches, plan_signals
 from zerodrift.physics.terms import start_term
-from zerodrift.physics.tracks import build_stretches
 
 HALF_WIDTH_K = 6.0
 SIDES = (1, -1, 0, 1, 1, -1, -1, 1)

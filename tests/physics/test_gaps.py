@@ -16,12 +16,11 @@ from tests.physics.conftest import (
 )
 
 from zerodrift.base.config import EffectConfig
-from zerodrift.dataset.bridges import join_stretches, predict_all, predict_along
+from zerodrift.dataset.runs import join_stretches, predict_all, predict_along
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.fit import fit
-from zerodrift.physics.signals import plan_signals
-from zerodrift.physics.tracks import lay_tracks
+from zerodrift.physics.signals import lay_tracks, plan_signals
 
 LAG = [EffectConfig("zero_tempco"), EffectConfig("thermal_lag")]
 

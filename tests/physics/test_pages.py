@@ -8,8 +8,8 @@ from tests.physics.conftest import FULL_SCALE, OUTPUTS, UNITS, follow, make_data
 from zerodrift.base.config import EffectConfig
 from zerodrift.operations.registry import OPERATIONS
 from zerodrift.physics.catalogue import load_catalogue
+from zerodrift.physics.description import render_effects_page
 from zerodrift.physics.effect import Signals
-from zerodrift.physics.effects_page import render_effects_page
 from zerodrift.physics.fit import fit
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -18,7 +18,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 def test_reference_page_is_as_new_as_the_declarations():
     written = (DOCS / "reference" / "effects.md").read_text(encoding="utf-8")
     assert written == render_effects_page(load_catalogue()), (
-        "run: python -m zerodrift.physics.effects_page > docs/reference/effects.md"
+        "run: python -m zerodrift.physics.description > docs/reference/effects.md"
     )
 
 

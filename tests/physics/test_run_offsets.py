@@ -10,8 +10,7 @@ from tests.physics.test_offsets import DAY_S, shifted
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset
 from zerodrift.diagnosis.diagnose import diagnose
-from zerodrift.physics.fit import fit
-from zerodrift.physics.run_offsets import TREND_BY_CHANCE, weigh_trend
+from zerodrift.physics.fit import TREND_BY_CHANCE, fit, weigh_trend
 
 DAYS = np.array([0.0, 2.1, 3.0, 5.5, 6.2, 9.0, 11.3, 12.0])
 

@@ -5,7 +5,6 @@ import pytest
 
 from tests.plan.projects import read
 from zerodrift.discovery.limits import resolve_limits
-from zerodrift.discovery.patterns import FEW, Space, choose_spaces
 from zerodrift.discovery.programme import (
     Log,
     SetProgramme,
@@ -14,7 +13,7 @@ from zerodrift.discovery.programme import (
     follow,
     list_set_points,
 )
-from zerodrift.discovery.search import list_designs
+from zerodrift.discovery.search import FEW, Space, choose_spaces, list_designs
 from zerodrift.discovery.summary import list_protocols
 from zerodrift_lab.twin.six_axis.heat import draw_network
 from zerodrift_lab.twin.six_axis.protocol import parse_protocol

@@ -16,7 +16,7 @@ from tests.golden.model_factory import draw_model
 from tests.golden.vectors import load
 from tests.house.test_order import ROOT
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
-from zerodrift.c_runtime.elf import list_symbols
+from zerodrift.c_runtime.footprint import list_symbols
 from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import ErrorBound
 from zerodrift.verify.certificate import certify

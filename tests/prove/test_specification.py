@@ -10,8 +10,7 @@ from tests.prove.models import as_read
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift_proof.equality.specification import State
-from zerodrift_proof.equality.specification import Specification
+from zerodrift_proof.equality.specification import Specification, State
 from zerodrift_proof.equality.terms import Terms, Whole
 
 STEPS = 30

@@ -20,7 +20,6 @@ from zerodrift.report.cause import (
     list_channels,
     read_driven,
 )
-from zerodrift.report.cause_place import lay_out_cause
 from zerodrift.report.pictures import draw_stairs
 from zerodrift.report.svg import (
     INKS,
@@ -34,7 +33,7 @@ from zerodrift.report.svg import (
     write_style,
 )
 from zerodrift.report.tables import tabulate_worst
-from zerodrift.report.window import Window, choose_clock
+from zerodrift.report.window import Window, choose_clock, lay_out_cause
 from zerodrift.workbench.first_look import HEADING, TALL, FirstLook, LoggedLine, draw_waiting
 
 

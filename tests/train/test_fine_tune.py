@@ -20,8 +20,7 @@ from zerodrift.export.quantize_layers import quantize_gru, quantize_layers
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.train.fine_tune import Tuning, fine_tune
-from zerodrift.train.integer_network import IntegerGruNetwork
+from zerodrift.train.integer_network import IntegerGruNetwork, Tuning, fine_tune
 from zerodrift.train.onnx_export import build_onnx
 from zerodrift.train.recurrence import GruWeights, run_gru
 from zerodrift.train.sequences import Sequence32

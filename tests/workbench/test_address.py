@@ -13,7 +13,7 @@ import pytest
 from tests.workbench.conftest import serve
 from tests.workbench.test_security import ask
 
-from zerodrift.codegen.snippet import write_snippet
+from zerodrift.codegen.application import write_snippet
 from zerodrift.workbench.early import PageAddress, find_address, keep_address
 from zerodrift.workbench.server import pack_files
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
-from zerodrift.dataset.bridges import join_stretches
-from zerodrift.dataset.runs import Run
+from zerodrift.dataset.runs import Run, join_stretches
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.fit import TARE_RATIO
 from zerodrift.physics.model import PhysicalModel

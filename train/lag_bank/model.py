@@ -8,8 +8,7 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import GraphOperations, Node, NumpyOperations, Operations
 from zerodrift.train.front_end import read_source
 from zerodrift.train.lag_bank.data import DEGREE, Lag, Scale
 

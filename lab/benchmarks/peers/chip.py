@@ -17,8 +17,8 @@ from benchmarks.peers.layers import Array, Task
 from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 from zerodrift.c_runtime.cores import find_cross_compilers
-from zerodrift.c_runtime.elf import list_symbols
 from zerodrift.c_runtime.emulator import PAGE, load_program, make_chip
+from zerodrift.c_runtime.footprint import list_symbols
 
 CORE = "cortex-m4"
 _STACK, _STACK_BYTES, _STOP = 0x8000_0000, 0x8000, 0x9000_0000

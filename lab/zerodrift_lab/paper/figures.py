@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from zerodrift.report.style import (
+from zerodrift.report.figures import (
     ACCENT,
     FLOOR,
     MEASURED,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.base.errors import InputError
-from zerodrift.train.checkpoint import write_whole
+from zerodrift.train.attempts import write_whole
 from zerodrift_lab.paper.world import digest_logs
 
 FORMAT = 1

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from zerodrift.base.errors import InputError
+from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.roles import OUTPUT, RAW_THERMOMETER, STEADY, TEMPERATURE, Role, assign_roles
 from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
-from zerodrift.dataset.sources import open_sources
 from zerodrift.dataset.survey import Survey, survey_source, write_range
 from zerodrift.dataset.text_format import NUMBER
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.bridges import plan_spans
 from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
 from zerodrift.dataset.open_log import open_log
+from zerodrift.dataset.runs import plan_spans
 from zerodrift.dataset.sampling import KEPT_TOLERANCE, Stretch, plan_stretches
 from zerodrift.dataset.selectors import Selection, list_files
 from zerodrift.dataset.tables import LogTable, Source

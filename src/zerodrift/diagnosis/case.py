@@ -11,19 +11,21 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.candidates import Proposal, propose
 from zerodrift.diagnosis.floor import measure_floor
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import Node
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Feature
-from zerodrift.physics.fit import TARE_RATIO, check_terms, flat_weights
-from zerodrift.physics.live import leave_out_still
-from zerodrift.physics.run_offsets import (
+from zerodrift.physics.fit import (
     NO_TREND,
     STILL_SCATTERED,
+    TARE_RATIO,
     ClockTrend,
+    check_terms,
+    flat_weights,
     follows_clock_alone,
     measure_clock_trend,
 )
+from zerodrift.physics.live import leave_out_still
 from zerodrift.physics.search import Found, grid, list_coordinates, search, set_coordinates
 from zerodrift.physics.signals import SignalPlan, plan_signals
 from zerodrift.physics.terms import Term, start_term

@@ -17,8 +17,7 @@ from zerodrift.diagnosis.remainder import RemainderPattern, describe_remainder, 
 from zerodrift.diagnosis.rules import ENOUGH_RUNS, Finding, list_lookalikes, wanders
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.effect import FEWEST_RUNS, Signals
-from zerodrift.physics.fit import flat_weights
-from zerodrift.physics.run_offsets import TREND_BY_CHANCE
+from zerodrift.physics.fit import TREND_BY_CHANCE, flat_weights
 from zerodrift.physics.search import Found, Solution, search
 from zerodrift.physics.signals import SignalPlan, explain_missing
 from zerodrift.physics.terms import Term, build_features, tidy_terms

@@ -36,9 +36,8 @@ from zerodrift.physics.search import (
     search_beyond_rails,
     sum_with_slopes,
 )
-from zerodrift.physics.signals import SignalPlan
+from zerodrift.physics.signals import SignalPlan, build_stretches
 from zerodrift.physics.terms import Term
-from zerodrift.physics.tracks import build_stretches
 
 PRIOR_COUNT = 8.0
 """The dwell counts as this many coefficients per octave beside those that the runs leave over."""

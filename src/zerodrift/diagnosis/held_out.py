@@ -32,8 +32,8 @@ from zerodrift.physics.search import (
     step_values,
     weigh,
 )
+from zerodrift.physics.signals import build_stretches
 from zerodrift.physics.terms import Term, begin_at_rest
-from zerodrift.physics.tracks import build_stretches
 
 BLOCKS = 8
 """A single run is cut into this many stretches of time, each left out in turn."""

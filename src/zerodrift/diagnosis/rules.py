@@ -8,7 +8,7 @@ from zerodrift.diagnosis.case import Case
 from zerodrift.diagnosis.evidence import SURE_NATS, compare_runs
 from zerodrift.diagnosis.examination import Examination, Judged, share_explained
 from zerodrift.diagnosis.floor import DWELL
-from zerodrift.physics.run_offsets import follows_clock_alone
+from zerodrift.physics.fit import follows_clock_alone
 
 SIGNIFICANT = 0.05
 """Largest p-value of an effect that is named, over all candidates together."""

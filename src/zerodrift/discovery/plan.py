@@ -37,9 +37,8 @@ from zerodrift.discovery.contenders import (
 )
 from zerodrift.discovery.criterion import CLOSE_ROWS, Judge, Told, weigh
 from zerodrift.discovery.limits import Limits, resolve_limits
-from zerodrift.discovery.patterns import FEW, Space, choose_spaces
 from zerodrift.discovery.programme import SetProgramme
-from zerodrift.discovery.search import Best, find_programme, list_designs
+from zerodrift.discovery.search import FEW, Best, Space, choose_spaces, find_programme, list_designs
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.search import get_coordinates
 from zerodrift.physics.signals import SignalPlan

@@ -13,13 +13,19 @@ from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.examination import fit_base, measure_rest
 from zerodrift.discovery.contenders import Scene, Truth, draw_fitted, spread_typical
-from zerodrift.discovery.criterion import ROWS, Judge
+from zerodrift.discovery.criterion import ROWS, Judge, Staged
 from zerodrift.discovery.limits import Limits, resolve_limits
-from zerodrift.discovery.patterns import QUIET_S, USE_CROSSINGS, Space, choose_spaces
 from zerodrift.discovery.plan import Question, leave_alone, open_blank
 from zerodrift.discovery.programme import SetProgramme
-from zerodrift.discovery.search import Best, find_programme, list_designs
-from zerodrift.discovery.stage import Staged
+from zerodrift.discovery.search import (
+    QUIET_S,
+    USE_CROSSINGS,
+    Best,
+    Space,
+    choose_spaces,
+    find_programme,
+    list_designs,
+)
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.search import (
     Coordinate,

@@ -21,9 +21,8 @@ from zerodrift.export.model_files import load_model
 from zerodrift.field.editions import find_editions
 from zerodrift.fleet.block_work import BlockRun, SharedProgram
 from zerodrift.fleet.design import Design
-from zerodrift.fleet.executors import Executor
 from zerodrift.fleet.result import SensorOutcome, TriedBlock
-from zerodrift.fleet.run import FleetProgress, cut_batches
+from zerodrift.fleet.run import Executor, FleetProgress, cut_batches
 from zerodrift.fleet.work import MODEL
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify_design

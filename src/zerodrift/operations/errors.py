@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import cached_property
 
 from zerodrift.base.errors import NoRuleError
-from zerodrift.operations.enclosure import enclose_exp2, enclose_power, furthest, shorten
+from zerodrift.operations.intervals import enclose_exp2, enclose_power, furthest, shorten
 from zerodrift.operations.signals import Real, Signal
 
 ZERO = Fraction(0)

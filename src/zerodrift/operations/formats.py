@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import choose_exponent
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import Node
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.signals import Signal

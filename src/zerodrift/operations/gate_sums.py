@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.errors import NoRuleError
-from zerodrift.operations.enclosure import shorten
 from zerodrift.operations.errors import HALF, ZERO, Error, Known, SumTerm, bound_sum
+from zerodrift.operations.intervals import shorten
 
 Integers = NDArray[np.int16] | NDArray[np.int8] | NDArray[np.int32]
 

@@ -7,8 +7,14 @@ from functools import cache
 import numpy as np
 
 from zerodrift.operations.arithmetic import IntArray, round_shift
-from zerodrift.operations.enclosure import Range, enclose_exp2, enclose_log, enclose_power
-from zerodrift.operations.intervals import Bound, Interval
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    Range,
+    enclose_exp2,
+    enclose_log,
+    enclose_power,
+)
 from zerodrift.operations.node import Writer
 
 # Bounds on the error of a polynomial in fixed point against the function it approximates.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from zerodrift.operations.arithmetic import IntArray, Wholes, saturate
 from zerodrift.operations.c_text import RuntimePart
-from zerodrift.operations.enclosure import Range, enclose_exp
 from zerodrift.operations.errors import Known
+from zerodrift.operations.intervals import Range, enclose_exp
 from zerodrift.operations.node import Writer
 
 # The one activation table: tanh by 513 nodes with lines between them; sigmoid from the same.

@@ -19,15 +19,27 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate
-from zerodrift.operations.graph import Node, list_nodes
+from zerodrift.operations.backend import (
+    GraphOperations,
+    Node,
+    NumpyOperations,
+    evaluate,
+    list_nodes,
+)
 from zerodrift.operations.registry import OPERATIONS
 from zerodrift.physics.effect import FEWEST_RUNS, Arrivals, Effect, Feature
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.reduction import MEANS, Column, Reduction, plan_reduction, select_means
-from zerodrift.physics.signals import SignalPlan, graph_inputs, name_signals, read_signals
+from zerodrift.physics.signals import (
+    SignalPlan,
+    build_stretches,
+    graph_inputs,
+    lay_tracks,
+    name_signals,
+    read_signals,
+    tell_arrival,
+)
 from zerodrift.physics.terms import Term, build_features, name_feature
-from zerodrift.physics.tracks import build_stretches, lay_tracks, tell_arrival
 
 # Chooses the rate at which a signal is computed: block means where it is slow, else all samples.
 #

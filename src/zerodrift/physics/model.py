@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.records import OPTIONAL
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations
-from zerodrift.operations.graph import Node
+from zerodrift.operations.backend import GraphOperations, Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.rails import bridge
-from zerodrift.physics.signals import SignalPlan, name_signals, read_signals
+from zerodrift.physics.signals import SignalPlan, build_stretches, name_signals, read_signals
 from zerodrift.physics.terms import Term, begin_at_rest, build_features, list_defaults
-from zerodrift.physics.tracks import build_stretches
 
 # The physical model as compensator.json holds it.
 

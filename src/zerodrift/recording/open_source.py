@@ -4,10 +4,15 @@ from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import RECORD_MCAP, require
-from zerodrift.recording.can_bus import CanSource
-from zerodrift.recording.mqtt import MqttSource
 from zerodrift.recording.sources import LineReader, LiveSource, parse_source
-from zerodrift.recording.streams import LineSource, open_command, open_input, open_serial
+from zerodrift.recording.streams import (
+    CanSource,
+    LineSource,
+    MqttSource,
+    open_command,
+    open_input,
+    open_serial,
+)
 
 BAUD = 115_200
 

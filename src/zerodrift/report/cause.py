@@ -24,7 +24,6 @@ from zerodrift.diagnosis.drivers import (
     suspect,
 )
 from zerodrift.diagnosis.summary import ComparisonSummary
-from zerodrift.report.cause_place import MARGIN_LEFT, lay_out_cause
 from zerodrift.report.findings import MOVING_SHARE, Findings, Trace, find_threshold
 from zerodrift.report.svg import (
     AxisScale,
@@ -38,10 +37,12 @@ from zerodrift.report.svg import (
     spread,
 )
 from zerodrift.report.window import (
+    MARGIN_LEFT,
     TimeAxis,
     Window,
     choose_clock,
     find_rows,
+    lay_out_cause,
     pick_rows,
     pick_spread,
 )

@@ -26,7 +26,7 @@ from zerodrift.diagnosis.run_errors import RunError
 from zerodrift.diagnosis.summary import ComparisonSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import ModelSummary
-from zerodrift.report.proposal import ProposedFormula
+from zerodrift.report.pictures import ProposedFormula
 from zerodrift.verify.summary import CertificateSummary, FirmwareSummary, StatedUncertainty
 
 FILE_NAME = "findings.json"

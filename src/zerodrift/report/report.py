@@ -17,8 +17,7 @@ from zerodrift.report import cause, tables
 from zerodrift.report.datasheet import DatasheetRow
 from zerodrift.report.findings import Findings
 from zerodrift.report.page import render_template
-from zerodrift.report.pictures import draw_error_budget, draw_ranking, draw_stairs
-from zerodrift.report.proposal import draw_remainder
+from zerodrift.report.pictures import draw_error_budget, draw_ranking, draw_remainder, draw_stairs
 from zerodrift.report.sentences import explain_candidate, write_headline
 from zerodrift.report.svg import Picture
 from zerodrift.report.tables import Table, list_parts, tabulate_conversions

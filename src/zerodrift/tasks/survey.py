@@ -26,7 +26,7 @@ from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import summarise_model
 from zerodrift.report.findings import Findings, LoggedInput, Provenance, SourceFile, trace_runs
-from zerodrift.report.proposal import ProposedFormula
+from zerodrift.report.pictures import ProposedFormula
 from zerodrift.report.results import ProposeResult
 from zerodrift.report.sentences import (
     describe_patterns,

@@ -15,8 +15,8 @@ from zerodrift.blocks.proof import BlockField
 from zerodrift.c_runtime.compilers import list_runtime
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.codegen.identifiers import name_channels
+from zerodrift.dataset.chip_codes import find_linear
 from zerodrift.dataset.conversions import COUPLES, PLATINUM
-from zerodrift.dataset.raw_codes import find_linear
 from zerodrift.export.error_bound import ErrorBound, round_up
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.operations.errors import CAUSES

@@ -5,7 +5,8 @@ rounding; a larger one is assigned to the cause that the row shows: a channel ou
 range, a drift at its limit, an operation or a code at its limit.
 """
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,23 +15,376 @@ from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array, Mask
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.dataset.bridges import predict_all
 from zerodrift.dataset.chip_codes import MEASURED
-from zerodrift.dataset.runs import Run
+from zerodrift.dataset.runs import Run, predict_all
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.encoding import round_channel
-from zerodrift.export.float_model import FloatModel
+from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_RATE_RANGE,
     IntegerModel,
 )
+from zerodrift.export.quantize import FEATURE_HEADROOM, quantize_graph
+from zerodrift.export.quantize_layers import (
+    ReadOut,
+    quantize_read_out,
+    quantize_state_read_out,
+)
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import INT16_MAX, CodeArray, IntArray, choose_exponent
+from zerodrift.operations.backend import Node, NumpyOperations, list_nodes
+from zerodrift.operations.dense import COPY_BITS, FloatFeedForward
 from zerodrift.operations.input import IntegerInput
+from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.node import ChannelNode
+from zerodrift.verify.mismatch import label_columns
 from zerodrift.verify.summary import ChipError
+
+# The error that each operation of the chip's arithmetic adds, in the outputs' units, and over
+# time.
+#
+# The integer model differs from the float one in many small ways. To separate them, the float model
+# is turned into the integer one node by node, in the order of the arithmetic: up to some node all
+# is as on the chip, from there on all is float. The change of the answer when a node becomes
+# integer is that node's cost. The costs, as signals, add up to the whole difference.
+
+LONGEST_RUN_STEPS = 20_000
+DECADES = (100, 1000, 10_000, 100_000, 1_000_000)
+
+
+@dataclass(frozen=True)
+class NodeCost:
+    """What one node of the integer model adds to the error."""
+
+    node: str
+    kind: str
+    rms: Array
+    """[K] in the outputs' units."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """The difference of integer and float model between two steps of a long run."""
+
+    first_step: int
+    last_step: int
+    rms: Array
+    """[K] in the outputs' units."""
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Where the error of the integer model comes from."""
+
+    total: Array
+    """[K] RMS difference of integer and float model, in the outputs' units."""
+    nodes: tuple[NodeCost, ...]
+    """In the order of the arithmetic; as signals they add up to the total."""
+    over_time: tuple[Span, ...]
+
+    @property
+    def largest(self) -> tuple[NodeCost, ...]:
+        """The nodes by their largest share of any output's total, largest first."""
+        floor = np.maximum(self.total, np.finfo(np.float64).tiny)
+        return tuple(sorted(self.nodes, key=lambda n: -float((n.rms / floor).max())))
+
+
+def measure_budget(
+    described: FloatModel,
+    calibration: Calibration,
+    host: HostModel,
+    runs: Sequence[Run],
+    steps: int = DECADES[-1],
+    *,
+    plain: Sequence[Mask] | None = None,
+) -> ErrorBudget:
+    """Return the error budget of a quantized compensator.
+
+    Args:
+        described: the float model that was quantized.
+        calibration: what it was quantized with.
+        host: the integer model's C, built to be observed and shown equal to the reference.
+        runs: measurements, preferably held out.
+        steps: length of the run that is followed over time.
+        plain: [n] per run: rows that count, those on which nothing but rounding separates the two
+            models; None: all.
+    """
+    masks = plain or [np.ones(len(run), dtype=np.bool_) for run in runs]
+    there = np.concatenate([mask[:LONGEST_RUN_STEPS] for mask in masks])
+    longest = max((_take_longest(*pair) for pair in zip(runs, masks, strict=True)), key=len)
+    runs = [run.at_rest().take(slice(LONGEST_RUN_STEPS)) for run in runs]  # as the C is started
+    levels = _Levels(described, calibration, host.model)
+    traces = [_observe(host, run) for run in runs]
+    inputs = [described.read_inputs_on_chip(run) for run in runs]
+    answers = [
+        np.concatenate(parts) for parts in zip(*levels.answer_all(inputs, traces), strict=True)
+    ]
+    answers = [answer[there] for answer in answers]
+    costs = [after - before for before, after in itertools.pairwise(answers)]
+    kinds = {node.name: node.kind for node in host.model.nodes}
+    return ErrorBudget(
+        total=_rms(answers[-1] - answers[0]),
+        nodes=tuple(
+            NodeCost(name, kinds[name], _rms(cost))
+            for name, cost in zip(levels.order, costs, strict=True)
+        ),
+        over_time=follow_over_time(described, host, longest, steps),
+    )
+
+
+def _take_longest(run: Run, mask: Mask) -> Run:
+    """Return the longest stretch of a run's rows that count, begun at rest."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    begins, ends = edges[::2], edges[1::2]
+    if not begins.size:
+        return run.at_rest().take(slice(0))
+    longest = int(np.argmax(ends - begins))
+    first = int(begins[longest])
+    last = min(int(ends[longest]), first + LONGEST_RUN_STEPS)
+    return run.at_rest().take(slice(first, last))
+
+
+def follow_over_time(
+    described: FloatModel, host: HostModel, run: Run, steps: int
+) -> tuple[Span, ...]:
+    """Return the difference of integer and float model by decades of a run without end.
+
+    Args:
+        described: the float model.
+        host: the integer model's C.
+        run: is played forwards and backwards in turn, so that nothing jumps.
+        steps: how far.
+    """
+    endless = repeat_run(run, steps)
+    scale = np.array([output.lsb_per_unit for output in host.model.outputs], dtype=np.float64)
+    drift = np.empty((steps, scale.size))
+    codes = encode_inputs(host.model, endless)
+    for first in range(0, steps, LONGEST_RUN_STEPS):  # bounds the memory of the trace
+        part = host.run(
+            codes[first : first + LONGEST_RUN_STEPS],
+            restart=first == 0,
+            elapsed=count_elapsed(host.model, endless),
+        )
+        drift[first : first + LONGEST_RUN_STEPS] = part.drift / scale
+    difference = drift - described.predict_on_chip(endless)
+    ends = [0, *(d for d in DECADES if d < steps), steps]
+    return tuple(
+        Span(first, last, _rms(difference[first:last])) for first, last in itertools.pairwise(ends)
+    )
+
+
+def repeat_run(run: Run, steps: int) -> Run:
+    """Return `steps` samples of a run that goes to its end and back again, over and over."""
+    period = np.concatenate([np.arange(len(run)), np.arange(len(run))[::-1]])
+    order = np.resize(period, steps)
+    return replace(
+        run,
+        time_s=run.time_s[0] + np.arange(steps) * run.sample_period_s,
+        temperature_degC=run.temperature_degC[order],
+        measured=run.measured[order],
+        reference=run.reference[order],
+        inputs={name: values[order] for name, values in run.inputs.items()},
+    )
+
+
+class _Levels:
+    """The model with its first nodes as on the chip and the others in float."""
+
+    def __init__(
+        self, described: FloatModel, calibration: Calibration, model: IntegerModel
+    ) -> None:
+        self._float, self._model = described, model
+        quantized = quantize_graph(described, calibration)
+        self._nodes = list_nodes([*described.features, *described.taps])
+        self._features, self._signals = quantized.features, quantized.signals
+        self._feature_scale = np.array(
+            [
+                2.0 ** -min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
+                for x in calibration.feature_max
+            ]
+        )
+        self._read_out = self._quantize_read_out()
+        self._scales = quantized.scales
+        self.order = [node.name for node in model.nodes]
+
+    def _quantize_read_out(self) -> ReadOut | None:
+        network = self._float.network
+        if network is None or isinstance(network, FloatLayeredNetwork):
+            return None
+        if not isinstance(network, FloatFeedForward):
+            return quantize_state_read_out(network)
+        exponents = np.round(-np.log2(self._feature_scale)).astype(np.int64)
+        return quantize_read_out(network, "features", exponents, _prove_features(self._model))
+
+    def answer_all(
+        self, inputs: Sequence[Mapping[str, Array]], traces: Sequence[Mapping[str, Array]]
+    ) -> list[list[Array]]:
+        """Return the drift [n, K] of every run at every level, from all float to all integer."""
+        levels = [set(self.order[:count]) for count in range(len(self.order) + 1)]
+        parts = [
+            [self._evaluate(level, *run) for level in levels]
+            for run in zip(inputs, traces, strict=True)
+        ]
+        network = self._float.network
+        if network is None:
+            states: Iterator[Array] = iter(())
+        elif isinstance(network, FloatFeedForward | FloatLayeredNetwork):
+            states = (x for run in parts for _, x in run if x is not None)
+        else:
+            features = [x for run in parts for _, x in run if x is not None]
+            states = iter(run_float_states(network, features, self._float.window))
+        return [
+            [
+                self._finish(level, physical, next(states) if x is not None else None, trace)
+                for level, (physical, x) in zip(levels, run, strict=True)
+            ]
+            for run, trace in zip(parts, traces, strict=True)
+        ]
+
+    def _evaluate(
+        self, level: set[str], inputs: Mapping[str, Array], trace: Mapping[str, Array]
+    ) -> tuple[Array, Array | None]:
+        """Return the physical part [n, K] and the features [n, I], None where not needed."""
+        count = next(iter(trace.values())).shape[0]
+        ops = NumpyOperations(self._float.sample_period_s, (count,))
+        values: dict[Node, Array] = {}
+        for node in self._nodes:
+            signal = self._signals[node]
+            if signal.node in level:
+                values[node] = trace[signal.node][:, 0] * signal.scale + signal.offset
+            elif node.op == "input":
+                values[node] = inputs[node.source][:count]
+            else:
+                arguments = [values[child] for child in node.inputs]
+                values[node] = ops.compute(node, arguments)
+        physical = np.broadcast_to(self._float.offset, (count, self._float.offset.size)).copy()
+        for node, signal, row in zip(
+            self._float.features, self._features, self._float.coefficients, strict=True
+        ):
+            if signal.node in level:  # as the chip holds it far beyond calibration
+                value = trace[signal.node][:, 0] * signal.scale + signal.offset
+            else:
+                value = values[node]
+            physical += value[:, None] * row
+        network = self._float.network
+        layered = isinstance(network, FloatLayeredNetwork)
+        if network is None or (not layered and level & {"gru", "dense_0"}):
+            return physical, None
+        if "features" in level:
+            return physical, trace["features"] * self._feature_scale
+        assert self._float.tap_mean is not None and self._float.whitening is not None
+        taps = np.stack([values[node] for node in self._float.taps], axis=1)
+        return physical, (taps - self._float.tap_mean) @ self._float.whitening.T
+
+    def _finish(
+        self, level: set[str], physical: Array, states: Array | None, trace: Mapping[str, Array]
+    ) -> Array:
+        """Return the drift [n, K] from what `_evaluate` gave."""
+        if "drift" in level:
+            scale = np.array([output.lsb_per_unit for output in self._model.outputs])
+            return np.asarray(trace["drift"] / scale)
+        network = self._float.network
+        if network is None:
+            return physical
+        if isinstance(network, FloatLayeredNetwork):
+            return self._finish_layered(network, level, physical, states, trace)
+        assert self._read_out is not None
+        if "head" in level:
+            sums = trace["head"] * 2.0**-self._read_out.head_exponents
+            return np.asarray(physical + sums + network.head_bias)
+        on_chip = [node.name in level for node in self._read_out.dense].count(True)
+        if on_chip:
+            exponents = self._read_out.dense_exponents[on_chip - 1] + COPY_BITS
+            top = trace[self._read_out.dense[on_chip - 1].name] * 2.0**-exponents
+        elif "gru" in level:
+            top = trace["gru"] / 2.0**30
+        else:
+            assert states is not None
+            top = states
+        rest = replace(network, dense=network.dense[on_chip:])
+        of_rest = rest.run(top) if isinstance(rest, FloatFeedForward) else rest.read_out(top)
+        return np.asarray(physical + of_rest)
+
+    def _finish_layered(
+        self,
+        network: FloatLayeredNetwork,
+        level: set[str],
+        physical: Array,
+        features: Array | None,
+        trace: Mapping[str, Array],
+    ) -> Array:
+        """Return the drift [n, K] where a layer may read several others."""
+        assert self._scales is not None and features is not None
+        if "head" in level:
+            sums = trace["head"] * 2.0**-self._scales.head
+            return np.asarray(physical + sums + network.head_bias)
+        known = {
+            layer: trace[name] * 2.0**-exponents
+            for name, (layer, exponents) in self._scales.layers.items()
+            if name in level
+        }
+        return np.asarray(physical + network.answer_from(features, self._float.window, known))
+
+
+def _prove_features(model: IntegerModel) -> list[Interval]:
+    """Return what the features of a proven model can be."""
+    known: dict[str, list[Interval]] = {}
+    for node in model.nodes:
+        known[node.name], _ = node.prove([known[name] for name in node.inputs])
+    return known["features"]
+
+
+def run_float_states(network: FloatNetwork, features: Sequence[Array], window: int) -> list[Array]:
+    """Return the topmost states [n, H] for each of several feature sequences [n, I], from rest.
+
+    Args:
+        network: the float network.
+        features: sequences of any lengths; equal ones are computed once.
+        window: samples per window; 0 carries the state.
+    """
+    keys = [x.tobytes() for x in features]
+    distinct = list(dict(zip(keys, features, strict=True)).values())
+    if window:
+        found = [_run_windows(network, x, window) for x in distinct]
+    else:
+        longest = max(len(x) for x in distinct)
+        padded = np.stack([np.pad(x, ((0, longest - len(x)), (0, 0)), "edge") for x in distinct])
+        now = network.settle(padded[:, 0])
+        states = np.empty((longest, *now[-1].shape))
+        for t in range(longest):
+            now = network.step(padded[:, t], now)
+            states[t] = now[-1]
+        found = [states[: len(x), i] for i, x in enumerate(distinct)]
+    by_key = dict(zip(dict.fromkeys(keys), found, strict=True))
+    return [by_key[key] for key in keys]
+
+
+def _run_windows(network: FloatNetwork, x: Array, window: int) -> Array:
+    padded = np.concatenate([np.repeat(x[:1], window - 1, axis=0), x])
+    now = network.start(len(x))
+    for k in range(window):
+        now = network.step(padded[k : k + len(x)], now)
+    return now[-1]
+
+
+def _observe(host: HostModel, run: Run) -> dict[str, Array]:
+    """Return the values [n, width] of every node as the C computes them."""
+    codes = encode_inputs(host.model, run)
+    columns = host.run(codes, elapsed=count_elapsed(host.model, run)).nodes.astype(np.float64)
+    assert columns.shape[1] == len(label_columns(host.model))
+    trace, first = {}, 0
+    for node in host.model.nodes:
+        trace[node.name] = columns[:, first : first + max(node.width, 1)]
+        first += max(node.width, 1)
+    return trace
+
+
+def _rms(x: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
+
 
 ROUNDING_SHARE = 0.002
 """What the arithmetic's rounding may cost, as a share of the drift's own RMS."""

@@ -7,8 +7,7 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.host import HostModel
-from zerodrift.dataset.bridges import predict_all, predict_along
-from zerodrift.dataset.runs import Run
+from zerodrift.dataset.runs import Run, predict_all, predict_along
 from zerodrift.diagnosis.baselines import explain_share
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.float_model import FloatModel

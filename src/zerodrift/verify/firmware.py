@@ -52,8 +52,7 @@ from zerodrift.physics.summary import ModelSummary
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify, certify_design
 from zerodrift.verify.chip_check import ChipCheck, check_chip
-from zerodrift.verify.chip_error import ChipReplay
-from zerodrift.verify.error_budget import ErrorBudget, measure_budget
+from zerodrift.verify.chip_error import ChipReplay, ErrorBudget, measure_budget
 from zerodrift.verify.errors_told import OutputError, tell_errors
 from zerodrift.verify.firmware_check import FirmwareCheck, check_firmware
 from zerodrift.verify.gate import GateVerdict, judge_firmware

@@ -12,11 +12,11 @@ from zerodrift.dataset.chip_codes import FLAG_MARGIN_K, RANGE_MARGIN
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.held_out import hold_out
 from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.train.bank_training import assemble_bank, fit_bank
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.prepare import Handling
 from zerodrift.train.refits import Original, Refit, train_refits
 from zerodrift.train.stages import fit_physics
+from zerodrift.train.training import assemble_bank, fit_bank
 
 PARTS = "leave runs out in {} parts"
 ONE_RUN = (

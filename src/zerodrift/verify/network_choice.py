@@ -24,7 +24,7 @@ from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.train.compensator import Compensator
 from zerodrift.train.prepare import mark_inputs, read_settings
 from zerodrift.train.scores import StageRmse, Trained, measure, score
-from zerodrift.train.split import split_runs
+from zerodrift.train.sequences import split_runs
 from zerodrift.train.stages import fit_physics
 from zerodrift.train.summary import NetworkChoice, TriedNetwork
 from zerodrift.train.training import train

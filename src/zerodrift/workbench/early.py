@@ -30,7 +30,7 @@ from zerodrift.base.config import FILE_NAME, Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
 from zerodrift.fleet.sensors import load_unit
-from zerodrift.workbench.events import SENSOR
+from zerodrift.workbench.jobs import SENSOR
 
 # A project's address on this machine: the same port and token each time, so that a tab finds it.
 #

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from zerodrift.base.records import from_json, to_dict
-from zerodrift.report.cause_place import MARGIN_LEFT, lay_out_cause
 from zerodrift.report.svg import AxisScale, Curve, Panel, Picture, render_svg, spread, write_style
-from zerodrift.report.window import choose_axis
+from zerodrift.report.window import MARGIN_LEFT, choose_axis, lay_out_cause
 
 HEADING = 236.0
 """Pixels that the page's list of a pane is wide."""

@@ -13,9 +13,22 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO
 
 from zerodrift.base.progress import PROGRESS_LINES, PROGRESS_MARK
+
+# What the processes behind the page say, and where they leave what they found.
+
+SURVEYED, DIAGNOSED, PREVIEWED, CHIP_READY = "surveyed", "diagnosed", "previewed", "chip-ready"
+DIAGNOSIS = "diagnosis.json"
+SKIP_INVALID, SENSOR = "--skip-invalid", "--sensor"
+
+
+def name_preview(result: Path, effect: str, run: str) -> Path:
+    """Return where the preview of an effect in a run lies; names may hold any character."""
+    return result / f"preview.{effect.encode().hex()}.{run.encode().hex()}.npy"
+
 
 EVENT_MARK = "event: "
 GRACE_S = 4.0

@@ -16,8 +16,8 @@ from zerodrift.base.progress import SILENT, Progress
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.tasks.trust import require_trust
 from zerodrift.workbench.early import EarlyPage
-from zerodrift.workbench.events import SKIP_INVALID
 from zerodrift.workbench.hold import hold_directory, release_directory
+from zerodrift.workbench.jobs import SKIP_INVALID
 
 
 @dataclass(frozen=True)

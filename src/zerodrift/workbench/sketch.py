@@ -17,8 +17,8 @@ from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.selectors import expand_selectors
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.report.window import pick_rows
-from zerodrift.workbench.events import SENSOR, SKIP_INVALID
 from zerodrift.workbench.first_look import FirstLook, LoggedLine, write_look
+from zerodrift.workbench.jobs import SENSOR, SKIP_INVALID
 
 MOST_ROWS = 2400
 

@@ -10,14 +10,13 @@ from dash.development.base_component import Component
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import to_dict
-from zerodrift.codegen.snippet import write_snippet
+from zerodrift.codegen.application import write_snippet
 from zerodrift.diagnosis.history import find_timeline
 from zerodrift.discovery.summary import explain_plan
 from zerodrift.report import tables
 from zerodrift.report.cause import name_effect
 from zerodrift.report.findings import Findings
-from zerodrift.report.pictures import draw_error_budget, draw_programme
-from zerodrift.report.proposal import draw_remainder
+from zerodrift.report.pictures import draw_error_budget, draw_programme, draw_remainder
 from zerodrift.report.results import ApplyResult, PlanResult, ProposeResult, TrainResult
 from zerodrift.report.sentences import explain_black_boxes
 from zerodrift.verify.summary import FirmwareSummary, LogsRefused, VerifySummary

@@ -47,17 +47,17 @@ from zerodrift.workbench.chip import (
     list_read,
     write_replay,
 )
-from zerodrift.workbench.events import (
+from zerodrift.workbench.jobs import (
     CHIP_READY,
     DIAGNOSED,
     DIAGNOSIS,
+    EVENT_MARK,
     PREVIEWED,
     SENSOR,
     SKIP_INVALID,
     SURVEYED,
     name_preview,
 )
-from zerodrift.workbench.jobs import EVENT_MARK
 
 PREVIEWS = 4
 MOST_STEPS = 50_000

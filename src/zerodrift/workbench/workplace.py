@@ -41,7 +41,9 @@ from zerodrift.report.results import (
 )
 from zerodrift.verify.summary import FirmwareSummary, LogsRefused, VerifySummary
 from zerodrift.workbench.chip import LiveAnswers, LiveChip, PageReplay, read_replay
-from zerodrift.workbench.events import (
+from zerodrift.workbench.first_look import FirstLook, read_look
+from zerodrift.workbench.hold import hold_directory
+from zerodrift.workbench.jobs import (
     CHIP_READY,
     DIAGNOSED,
     DIAGNOSIS,
@@ -49,11 +51,9 @@ from zerodrift.workbench.events import (
     SENSOR,
     SKIP_INVALID,
     SURVEYED,
+    Job,
     name_preview,
 )
-from zerodrift.workbench.first_look import FirstLook, read_look
-from zerodrift.workbench.hold import hold_directory
-from zerodrift.workbench.jobs import Job
 from zerodrift.workbench.state import JobState, PageState
 from zerodrift.workbench.uploads import LOGS
 from zerodrift.workbench.watch import RecordingWatch, UnitsWatch

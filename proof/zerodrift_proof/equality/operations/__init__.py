@@ -1,4 +1,4 @@
-"""What each operation means: a module each, found by this package; a new one needs no entry."""
+"""What each operation means, family by family; a module that is added here is found by itself."""
 
 from collections.abc import Iterator
 from importlib import import_module

@@ -23,8 +23,8 @@ from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.effect import Feature, Signals
 from zerodrift.physics.reduction import Reduction, plan_reduction, select_means
 from zerodrift.physics.search import Found, get_coordinates, list_coordinates, set_coordinates
+from zerodrift.physics.signals import lay_tracks
 from zerodrift.physics.terms import Term, build_features
-from zerodrift.physics.tracks import lay_tracks
 
 MOST_ROWS = 4_000
 """Block means in all runs together."""

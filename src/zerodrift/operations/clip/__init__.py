@@ -8,10 +8,10 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.errors import Error, Known, bound_limit
 from zerodrift.operations.formats import FormattedNodes
-from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval, check_limits
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation

@@ -11,12 +11,20 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
+from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import StateField
-from zerodrift.operations.enclosure import Range, enclose_exp, furthest, shorten
 from zerodrift.operations.errors import HALF, Error, Known
 from zerodrift.operations.formats import LOWPASS_FRACTION, SIGNAL_BITS, FormattedNodes
-from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    Range,
+    Shift,
+    check_shift,
+    enclose_exp,
+    furthest,
+    shorten,
+)
 from zerodrift.operations.lowpass_after import make_lowpass_after
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation

@@ -9,10 +9,10 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.operations.arithmetic import IntArray
+from zerodrift.operations.backend import Node
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import Error, Known, larger
 from zerodrift.operations.formats import FormattedNodes
-from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation

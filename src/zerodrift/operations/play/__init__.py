@@ -11,10 +11,10 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
-from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.operation import Operation

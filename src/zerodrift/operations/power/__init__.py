@@ -11,13 +11,21 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
-from zerodrift.operations.enclosure import Range, enclose_power, furthest, shorten
 from zerodrift.operations.errors import HALF, Error, Known, require
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
-from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    Range,
+    Shift,
+    check_shift,
+    enclose_power,
+    furthest,
+    shorten,
+)
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation

@@ -16,12 +16,18 @@ from zerodrift.operations.arithmetic import (
     round_shift,
     saturate,
 )
+from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import format_int32
-from zerodrift.operations.enclosure import shorten
 from zerodrift.operations.errors import HALF, Error, Known, require
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
-from zerodrift.operations.graph import Node
-from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
+from zerodrift.operations.intervals import (
+    Bound,
+    Interval,
+    Shift,
+    check_limits,
+    check_shift,
+    shorten,
+)
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
 from zerodrift.operations.operation import Operation

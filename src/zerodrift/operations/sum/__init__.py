@@ -15,11 +15,11 @@ from zerodrift.operations.arithmetic import (
     choose_exponent,
     saturate,
 )
+from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import format_factor, format_int32, format_int64
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
 from zerodrift.operations.formats import EXACT_BITS, MOST_EXTRA_BITS, SIGNAL_BITS, FormattedNodes
-from zerodrift.operations.graph import Node
 from zerodrift.operations.intervals import (
     Bound,
     Interval,
