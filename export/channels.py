@@ -26,8 +26,8 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import LOAD
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
-from zerodrift.operations.backend import Node, list_nodes
 from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
+from zerodrift.operations.operation import Node, list_nodes
 
 # Chooses the table by which the chip converts raw codes: as small as its error allows.
 

@@ -35,9 +35,10 @@ from zerodrift.export.onnx_reader import ImportedNetwork, read_imported_bytes
 from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.operations.backend import GraphOperations, Node, evaluate, list_nodes
+from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.times import count_us
 from zerodrift.physics.signals import LATEST_RELATIVE_TIME_S
 from zerodrift.physics.summary import summarise_model

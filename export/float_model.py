@@ -16,8 +16,9 @@ from zerodrift.dataset.chip_codes import TEMPERATURE
 from zerodrift.dataset.runs import Run, predict_all, predict_along
 from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
-from zerodrift.operations.backend import Node, evaluate, list_nodes
+from zerodrift.operations.backend import evaluate
 from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
 from zerodrift.physics.summary import ModelSummary
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import Channel
-from zerodrift.operations.backend import Node
 from zerodrift.operations.clip import limit
 from zerodrift.operations.counter import COUNTER_LIMIT, IntegerCounter
 from zerodrift.operations.elapsed import IntegerElapsed, choose_tick
 from zerodrift.operations.formats import RANGE_SPANS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
+from zerodrift.operations.operation import Node
 from zerodrift.operations.registry import OPERATIONS
 from zerodrift.operations.signals import Signal, constant
 from zerodrift.operations.times import US_PER_S, count_us

@@ -14,13 +14,13 @@ from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.export.lowering import Lowering
 from zerodrift.export.quantize_layers import LayeredScales, ReadOut, append_layered, append_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
-from zerodrift.operations.backend import Node
 from zerodrift.operations.dense import COPY_BITS, FloatDense, FloatFeedForward
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.formats import COEFFICIENT_LIMIT
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.operation import Node
 from zerodrift.operations.recurrent import IntegerRecurrent, number_layers
 from zerodrift.operations.signals import Signal, constant
 

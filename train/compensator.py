@@ -23,8 +23,8 @@ from zerodrift.base.records import (
     to_dict,
 )
 from zerodrift.dataset.runs import Run, predict_all, predict_along
-from zerodrift.operations.backend import list_nodes
 from zerodrift.operations.dense import FloatFeedForward
+from zerodrift.operations.operation import list_nodes
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.model import ModelRecord, PhysicalModel
 from zerodrift.train.front_end import FrontEnd

@@ -19,7 +19,8 @@ from scipy.linalg import solve_triangular
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations, Node, NumpyOperations, Operations
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
+from zerodrift.operations.operation import Node
 
 S = TypeVar("S")
 

@@ -32,7 +32,8 @@ from zerodrift.codegen.selftest import limits_of
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import calibrate, describe_compensator
 from zerodrift.export.float_model import FloatModel
-from zerodrift.operations.backend import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.operation import Node
 from zerodrift.physics.catalogue import load_catalogue
 
 Codes = NDArray[np.int64]

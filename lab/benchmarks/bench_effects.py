@@ -21,8 +21,9 @@ from zerodrift.export.float_model import Calibration, FloatModel, predict_fed_ba
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
-from zerodrift.operations.backend import GraphOperations, evaluate, list_nodes
+from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.operation import list_nodes
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import graph_inputs, name_signals, plan_signals, read_signals
 from zerodrift.physics.terms import build_features, start_term

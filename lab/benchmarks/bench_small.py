@@ -19,7 +19,8 @@ from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
-from zerodrift.operations.backend import GraphOperations, evaluate, list_nodes
+from zerodrift.operations.backend import GraphOperations, evaluate
+from zerodrift.operations.operation import list_nodes
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import graph_inputs, name_signals, plan_signals, read_signals
 from zerodrift.physics.terms import build_features, start_term

@@ -31,7 +31,7 @@ from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.arithmetic import CodeArray
-from zerodrift.operations.backend import Node, list_nodes
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.effect import Effect, Parameter
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.quantize import Quantized
-from zerodrift.operations.backend import Node, NumpyOperations, list_nodes
+from zerodrift.operations.backend import NumpyOperations
 from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.signals import Signal
 
 Array = NDArray[np.float64]

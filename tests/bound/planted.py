@@ -9,10 +9,11 @@ import numpy as np
 
 from tests.bound.cases import Case
 from tests.effects_on_chip.random_graphs import LSBS, describe_graph, draw_codes
-from zerodrift.operations.backend import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.operations.errors import NONE, Error, Known
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.operation import Node
 from zerodrift.operations.signals import Real
 
 PERIOD_S, FINE, BATCH = 0.5, 10**9, 24

@@ -7,8 +7,8 @@ from tests.projects import FORCE, render_toml
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.logs import open_sources
 
 HEADER = "time_s,temperature_degC,Fz_N,ref_Fz_N"
 

@@ -10,9 +10,9 @@ from tests.dataset import log_writers as made
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.formats.registry import FORMATS, find_format
-from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.guess import guess_project
 from zerodrift.dataset.load import load_dataset
+from zerodrift.dataset.logs import open_sources
 
 LIBRARIES = {
     ".xlsx": ("python_calamine", "openpyxl"),

@@ -4,7 +4,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-
 HEADER = ("time_s", "temperature_degC", "Fz_N", "ref_Fz_N")
 
 

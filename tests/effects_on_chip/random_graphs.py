@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
-from zerodrift.operations.backend import GraphOperations, Node, evaluate, list_nodes
+from zerodrift.operations.backend import GraphOperations, evaluate
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.registry import OPERATIONS as REGISTERED
 
 Array = NDArray[np.float64]

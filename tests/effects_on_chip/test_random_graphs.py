@@ -22,7 +22,7 @@ from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.reference import Reference
-from zerodrift.operations.backend import Node, list_nodes
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 

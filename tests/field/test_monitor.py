@@ -12,8 +12,8 @@ from tests.field.conftest import BEGIN_S, DAY, write_log
 from zerodrift.base.errors import InputError
 from zerodrift.base.lock import LOCK, WAIT_VARIABLE, find_state, try_lock
 from zerodrift.cli.main import cli
-from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.log_steps import read_log_steps
+from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.tables import mend_source
 from zerodrift.field.summary import MonitorResult
 from zerodrift.report.results import read_result

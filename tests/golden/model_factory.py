@@ -10,9 +10,8 @@ from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import Cell, FloatLayer, FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
-from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.backend import GraphOperations, Node
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.backend import Node
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm

@@ -18,7 +18,8 @@ from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
-from zerodrift.operations.backend import Node, evaluate
+from zerodrift.operations.backend import evaluate
+from zerodrift.operations.operation import Node
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.chip_check import check_chip
 from zerodrift.verify.firmware_check import check_onnx

@@ -12,7 +12,8 @@ from tests.oracle.machine import Oracle
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.codegen.generate import generate
 from zerodrift.export.reference import Reference
-from zerodrift.operations.backend import GraphOperations, Node, NumpyOperations
+from zerodrift.operations.backend import GraphOperations, NumpyOperations
+from zerodrift.operations.operation import Node
 
 LARGEST_ERROR = 2.0**-19
 """The format of the inputs, which no extremum makes coarser: 2**-12 of a code of 2**-7."""

@@ -1,6 +1,7 @@
 import numpy as np
 
-from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate, list_nodes
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate
+from zerodrift.operations.operation import list_nodes
 
 
 def build_everything(ops, x, z):

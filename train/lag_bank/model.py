@@ -8,7 +8,8 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations, Node, NumpyOperations, Operations
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, Operations
+from zerodrift.operations.operation import Node
 from zerodrift.train.front_end import read_source
 from zerodrift.train.lag_bank.data import DEGREE, Lag, Scale
 

@@ -54,7 +54,7 @@ def count_parameters(model: PhysicalModel) -> int:
 
 def count_macs(model: PhysicalModel) -> int:
     """Return the multiplications of the sum, and two for each operation before it."""
-    from zerodrift.operations.backend import list_nodes
+    from zerodrift.operations.operation import list_nodes
 
     nodes = [n for n in list_nodes(model.graph().features) if n.op not in ("input", "constant")]
     return int(np.count_nonzero(model.coefficients)) + 2 * len(nodes)

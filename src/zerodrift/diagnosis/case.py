@@ -11,7 +11,7 @@ from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.candidates import Proposal, propose
 from zerodrift.diagnosis.floor import measure_floor
-from zerodrift.operations.backend import Node
+from zerodrift.operations.operation import Node
 from zerodrift.physics.campaign import Campaign
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.effect import Feature

@@ -6,53 +6,14 @@ integers and C. An effect's definition is the same for both.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Generic, SupportsFloat, TypeVar, cast
 
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation, list_nodes
 from zerodrift.operations.registry import OPERATIONS
-
-# An effect's definition as a graph of nodes: what the exporter walks to integers and C.
-
-
-@dataclass(frozen=True, eq=False)
-class Node:
-    """One operation with its inputs and constants, never repeated within one `GraphOperations`.
-
-    `op` is an operation's name, "constant", or "input" with the signal's name in `source`.
-    """
-
-    op: str
-    inputs: tuple["Node", ...] = ()
-    constants: tuple[float, ...] = ()
-    """The operation's numbers in the order of its arguments, as affine (gain, offset)."""
-    source: str = ""
-    """For "input": temperature_degC, load:Fz, elapsed_s, clock_s or a channel's name."""
-
-    def __repr__(self) -> str:
-        arguments = [repr(node) for node in self.inputs] + [f"{c:g}" for c in self.constants]
-        return self.source or f"{self.op}({', '.join(arguments)})"
-
-
-def list_nodes(roots: Iterable[Node]) -> list[Node]:
-    """Return every node that `roots` need, each once, inputs before what uses them."""
-    order: list[Node] = []
-    seen: set[int] = set()
-    stack = [(root, False) for root in reversed(list(roots))]
-    while stack:
-        node, inputs_done = stack.pop()
-        if inputs_done:
-            order.append(node)
-        elif id(node) not in seen:
-            seen.add(id(node))
-            stack.append((node, True))
-            stack.extend((child, False) for child in reversed(node.inputs))
-    return order
-
 
 S = TypeVar("S")
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import choose_exponent
-from zerodrift.operations.backend import Node
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.node import IntegerNode
+from zerodrift.operations.operation import Node
 from zerodrift.operations.signals import Signal
 
 RANGE_SPANS = 4.0

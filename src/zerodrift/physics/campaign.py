@@ -19,13 +19,8 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import (
-    GraphOperations,
-    Node,
-    NumpyOperations,
-    evaluate,
-    list_nodes,
-)
+from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.registry import OPERATIONS
 from zerodrift.physics.effect import FEWEST_RUNS, Arrivals, Effect, Feature
 from zerodrift.physics.rails import bridge

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.records import OPTIONAL
 from zerodrift.dataset.runs import Run
-from zerodrift.operations.backend import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.operation import Node
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.rails import bridge
 from zerodrift.physics.signals import SignalPlan, build_stretches, name_signals, read_signals

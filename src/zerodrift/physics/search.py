@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import MOST_TOLD
-from zerodrift.operations.backend import Node
+from zerodrift.operations.operation import Node
 from zerodrift.physics.campaign import Campaign, Sums
 from zerodrift.physics.effect import Arrivals, Feature, Parameter
 from zerodrift.physics.reduction import Column

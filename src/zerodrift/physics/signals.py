@@ -10,7 +10,8 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.outliers import take_medians
 from zerodrift.dataset.runs import Run, find_chains, lay
-from zerodrift.operations.backend import GraphOperations, Node
+from zerodrift.operations.backend import GraphOperations
+from zerodrift.operations.operation import Node
 from zerodrift.physics.effect import Arrivals, Effect, Feature, Signals
 from zerodrift.physics.rails import find_rails
 from zerodrift.physics.terms import Term, build_columns

@@ -34,12 +34,13 @@ from zerodrift.export.quantize_layers import (
 )
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, CodeArray, IntArray, choose_exponent
-from zerodrift.operations.backend import Node, NumpyOperations, list_nodes
+from zerodrift.operations.backend import NumpyOperations
 from zerodrift.operations.dense import COPY_BITS, FloatFeedForward
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.node import ChannelNode
+from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.verify.mismatch import label_columns
 from zerodrift.verify.summary import ChipError
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.operations.backend import Node
 from zerodrift.operations.formats import FormattedNodes
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.signals import Signal, constant
 
 

@@ -8,13 +8,12 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.operations.arithmetic import IntArray, saturate
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.errors import Error, Known, bound_limit
 from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.intervals import Bound, Interval, check_limits
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.signals import Real, Signal
 
 

@@ -11,13 +11,12 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import StateField, list_ring
 from zerodrift.operations.errors import HALF, Error, Known
 from zerodrift.operations.formats import FormattedNodes
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.signals import Real, Signal
 
 

@@ -8,12 +8,11 @@ import numpy as np
 
 from zerodrift.base.arrays import Array
 from zerodrift.operations.arithmetic import IntArray
-from zerodrift.operations.backend import Node
 from zerodrift.operations.errors import Error, Known, bound_sum, list_terms
 from zerodrift.operations.formats import EXACT_BITS, FormattedNodes
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import add
 

@@ -11,13 +11,12 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import RuntimePart, format_factor, format_int32, format_int64
 from zerodrift.operations.errors import HALF, Error, Known, SumTerm, bound_sum, require
 from zerodrift.operations.formats import SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_shift, enclose_exp2
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.polynomial import (
     bound_exp2_octave,
     bound_polynomial,

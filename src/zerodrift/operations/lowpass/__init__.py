@@ -11,7 +11,6 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.errors import HALF, Error, Known
 from zerodrift.operations.formats import LOWPASS_FRACTION, SIGNAL_BITS, FormattedNodes
@@ -27,7 +26,7 @@ from zerodrift.operations.intervals import (
 )
 from zerodrift.operations.lowpass_after import make_lowpass_after
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.recursion import filter_recursively
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit

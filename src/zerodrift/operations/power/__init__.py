@@ -11,7 +11,6 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import IntArray, saturate
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import HALF, Error, Known, require
@@ -28,7 +27,7 @@ from zerodrift.operations.intervals import (
 )
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.polynomial import (
     bound_polynomial,
     bound_power_octave,

@@ -16,7 +16,6 @@ from zerodrift.operations.arithmetic import (
     round_shift,
     saturate,
 )
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.errors import HALF, Error, Known, require
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
@@ -30,7 +29,7 @@ from zerodrift.operations.intervals import (
 )
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
 from zerodrift.operations.offset import remove_offset
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.sum import fit
 

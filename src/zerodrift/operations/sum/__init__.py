@@ -15,7 +15,6 @@ from zerodrift.operations.arithmetic import (
     choose_exponent,
     saturate,
 )
-from zerodrift.operations.backend import Node
 from zerodrift.operations.c_text import format_factor, format_int32, format_int64
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
@@ -29,6 +28,7 @@ from zerodrift.operations.intervals import (
     check_shift,
 )
 from zerodrift.operations.node import IntegerNode, Names, OnnxStep, State, Values, Writer
+from zerodrift.operations.operation import Node
 from zerodrift.operations.signals import Real, Signal
 
 

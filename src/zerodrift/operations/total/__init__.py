@@ -3,10 +3,9 @@
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.operations.backend import Node
 from zerodrift.operations.difference import combine
 from zerodrift.operations.formats import FormattedNodes
-from zerodrift.operations.operation import Operation
+from zerodrift.operations.operation import Node, Operation
 from zerodrift.operations.signals import Signal
 
 
