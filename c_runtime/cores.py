@@ -3,8 +3,11 @@
 import importlib.util
 import shutil
 import sys
+from dataclasses import dataclass
 
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.plugins import CORES as GROUP
+from zerodrift.base.plugins import load_parts
 from zerodrift.c_runtime.compilers import Compiler
 
 _OMIT = "-fomit-frame-pointer"
@@ -32,6 +35,43 @@ GCC_CORES: dict[str, tuple[str, ...]] = {
 }
 """Core -> what makes the GNU cross-compiler build for it. Only it makes MVE for the M55 here."""
 
+
+@dataclass(frozen=True)
+class Core:
+    """A core; an installed package may add its own."""
+
+    name: str
+    """For `[firmware] core`."""
+    clang: tuple[str, ...] = ()
+    """What makes the clang of the ziglang wheel build for it; empty: it cannot."""
+    gcc: tuple[str, ...] = ()
+    """What makes a GNU cross-compiler build for it; empty: none does."""
+    triple: str = "arm-none-eabi"
+    """Of that compiler: its name without `-gcc`."""
+    emulated_as: str = ""
+    """The one of `CORES` as which unicorn runs it; empty: it is built for alone."""
+
+
+def list_cores() -> dict[str, Core]:
+    """Return name -> core: zerodrift's own, and those of installed packages."""
+    own = {
+        name: Core(
+            name,
+            CORES.get(name, ()),
+            GCC_CORES.get(name, ()),
+            "riscv64-unknown-elf" if name.startswith("rv") else "arm-none-eabi",
+            name if name in CORES else "",
+        )
+        for name in {**CORES, **GCC_CORES}
+    }
+    return own | {each.name: each for each in load_parts(GROUP, Core) if each.name not in own}
+
+
+def list_emulated() -> tuple[str, ...]:
+    """Return the cores that unicorn runs, by name."""
+    return tuple(name for name, core in list_cores().items() if core.emulated_as)
+
+
 MEMORY = """\
 void *memset(void *to, int value, size_t n);
 void *memcpy(void *to, const void *from, size_t n);
@@ -53,21 +93,21 @@ def find_cross_compilers(core: str) -> list[Compiler]:
     """Return the compilers for a core that are installed, the ziglang wheel first.
 
     Args:
-        core: one of `CORES` or `GCC_CORES`.
+        core: one of `list_cores`.
 
     Raises:
         InputError: the core is unknown.
     """
-    known = {**CORES, **GCC_CORES}
+    known = list_cores()
     if core not in known:
         raise InputError(
             f"core '{core}' is unknown{nearest(core, known)}; known are {', '.join(known)}"
         )
+    part = known[core]
     found: list[Compiler] = []
-    if core in CORES and importlib.util.find_spec("ziglang"):
-        found.append(Compiler("zig", (sys.executable, "-m", "ziglang", "cc", *CORES[core])))
-    triple = "riscv64-unknown-elf" if core.startswith("rv") else "arm-none-eabi"
-    path = shutil.which(f"{triple}-gcc")
-    if core in GCC_CORES and path:
-        found.append(Compiler("gcc", (path, *GCC_CORES[core])))
+    if part.clang and importlib.util.find_spec("ziglang"):
+        found.append(Compiler("zig", (sys.executable, "-m", "ziglang", "cc", *part.clang)))
+    path = shutil.which(f"{part.triple}-gcc")
+    if part.gcc and path:
+        found.append(Compiler("gcc", (path, *part.gcc)))
     return found

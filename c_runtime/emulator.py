@@ -37,7 +37,7 @@ from unicorn.riscv_const import (
 
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.compilers import Compiler
-from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
+from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers, list_cores
 from zerodrift.c_runtime.footprint import is_constant, list_symbols
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode
@@ -98,7 +98,8 @@ class EmulatedCore(Protocol):
 
 
 def make_chip(core: str) -> EmulatedCore:
-    """Return a core without memory: one of `ARM_CPUS`, or else of RISC-V with 32 bits."""
+    """Return a core without memory: one of `cores.list_emulated`."""
+    core = list_cores()[core].emulated_as
     make = cast(
         Callable[[int, int], EmulatedCore], wheel.Uc
     )  # whose own types lack some of its methods
@@ -197,7 +198,7 @@ class EmulatedModel:
     Args:
         model: the integer model, for its shapes.
         code: its C.
-        core: one of `cores.CORES`.
+        core: one of `cores.list_emulated`.
         folder: where sources and program are written.
         flags: of the compiler, "-O2" by default.
         compiler: for the core; the preferred one if None.
@@ -225,7 +226,7 @@ class EmulatedModel:
         ]
         self._input_type = np.dtype(fields, align=True)  # as the compilers lay the struct out
         program = _build(model, code, folder, flags, compiler or _find(core))
-        self._arm = core in ARM_CPUS
+        self._arm = list_cores()[core].emulated_as in ARM_CPUS
         self._chip = make_chip(core)
         with program.open("rb") as file:
             image = ELFFile(file)

@@ -128,7 +128,7 @@ def measure_footprint(
 
     Args:
         code: the model's C.
-        core: one of `cores.CORES`, or for gcc of `cores.GCC_CORES`.
+        core: one of `cores.list_cores`.
         flags: further ones of the compiler, as -DZD_SMALL.
         compiler: "zig" or "gcc".
 

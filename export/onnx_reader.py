@@ -19,6 +19,7 @@ from onnx import TensorProto, external_data_helper, numpy_helper
 
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.importers import import_onnx
 from zerodrift.export.onnx_cells import restore_cells
 from zerodrift.export.onnx_operators import OPERATORS, OUTSIDE, REMEDIES, SUPPORTED, combine
 from zerodrift.export.onnx_values import (
@@ -322,13 +323,16 @@ def read_imported(path: Path, output: str | None = None) -> ImportedNetwork:
     """Return the network of an ONNX file and how it is run.
 
     Args:
-        path: the file.
+        path: the file; of another format where an installed package reads it.
         output: name of the graph output that is the drift; the only one that can be, if None.
 
     Raises:
         InputError: the file cannot be read, or holds something that has no fixed-point form here;
             names the node and what is supported.
     """
+    imported = import_onnx(path)
+    if imported is not None:
+        return read_imported_bytes(imported, str(path), output)
     try:
         size = path.stat().st_size
         content = path.read_bytes() if size <= LARGEST_FILE else b""

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from zerodrift.base import files
 from zerodrift.base.arrays import pack_arrays
 from zerodrift.base.errors import InputError
-from zerodrift.base.lock import tell
 from zerodrift.base.records import Json, from_json, read_sealed, render_sealed
+from zerodrift.base.terminal import tell
 from zerodrift.train.networks import Network
 from zerodrift.train.sequences import Array32, Sequence32
 from zerodrift.train.settings import Settings

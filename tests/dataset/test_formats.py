@@ -108,7 +108,7 @@ def test_topics_without_numbers_are_refused(tmp_path):
         open_sources(tmp_path / "log.mcap", "log.mcap", {})
 
 
-@pytest.mark.parametrize("suffix", [suffixes[0] for suffixes in FORMATS])
+@pytest.mark.parametrize("suffix", [known.suffixes[0] for known in FORMATS])
 def test_damaged_file_or_missing_library_is_told(tmp_path, suffix):
     path = tmp_path / f"log{suffix}"
     path.write_bytes(b"nothing of the kind" * 20)

@@ -7,13 +7,13 @@ from tests.surroundings.conftest import REST, Command, write_project
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.selectors import LOG_SUFFIXES, expand_selectors
+from zerodrift.dataset.selectors import expand_selectors, list_suffixes
 from zerodrift.fleet.sensors import guess_folder
 from zerodrift.tasks.calibrate import find_logs
 from zerodrift.workbench.uploads import list_logs
 
 
-@pytest.mark.parametrize("suffix", LOG_SUFFIXES)
+@pytest.mark.parametrize("suffix", list_suffixes())
 def test_a_log_of_any_kind_is_one_everywhere(suffix: str, tmp_path: Path) -> None:
     folder = tmp_path / "units/SN1"
     folder.mkdir(parents=True)

@@ -22,6 +22,7 @@ from zerodrift.base.files import (
     telling_of_writes,
 )
 from zerodrift.base.records import from_json, to_dict
+from zerodrift.base.terminal import tell
 
 # One writer at a time on a project; the next one waits, and prints for whom.
 #
@@ -202,11 +203,6 @@ def _read_wait() -> float:
             f"{WAIT_VARIABLE}={text}: expected a number of seconds, 0 or more, such as 60."
         )
     return value
-
-
-def tell(text: str) -> None:
-    """Print to stderr without buffering; stdout has the command's result only."""
-    print(f"note: {text}", file=sys.stderr, flush=True)
 
 
 # Folders for the work of one command, which the next command removes if a kill left them.

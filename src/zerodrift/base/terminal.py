@@ -97,3 +97,8 @@ def _load_console() -> "type[Console]":
                     yield segment
 
     return Terminal
+
+
+def tell(text: str) -> None:
+    """Print to stderr without buffering; stdout has the command's result only."""
+    print(f"note: {text}", file=sys.stderr, flush=True)

@@ -9,7 +9,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import click
@@ -17,6 +16,8 @@ import click
 from zerodrift import __version__
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.files import NOTHING_HALF, explain_refusal, explain_write, is_refused_write
+from zerodrift.base.plugins import COMMANDS as GROUP
+from zerodrift.base.plugins import load_parts
 from zerodrift.base.terminal import guard_streams
 from zerodrift.base.threads import use_one_thread
 
@@ -99,7 +100,8 @@ def explain_memory() -> str:
 
 
 #: Command name -> one-line help. The command itself is `zerodrift.cli.<name>:command`;
-#: further commands come from installed packages, by the entry point GROUP.
+#: further commands come from installed packages, by entry points that each give a mapping:
+#: command name -> (one-line help, "module:attribute").
 COMMANDS: dict[str, str] = {
     "init": "Write a commented zerodrift.toml guessed from the logs.",
     "effects": "The catalogue of physical effects; with a name, everything about one.",
@@ -132,8 +134,6 @@ COMMANDS: dict[str, str] = {
 
 COMPLETION = "_ZERODRIFT_COMPLETE"
 """Variable by which a shell asks for completions (click)."""
-GROUP = "zerodrift.commands"
-"""Entry points that each give a mapping: command name -> (one-line help, "module:attribute")."""
 LABORATORY = ("twin", "paper")
 """Commands of zerodrift-lab, a distribution of its own."""
 
@@ -142,9 +142,9 @@ LABORATORY = ("twin", "paper")
 def list_commands() -> dict[str, tuple[str, str]]:
     """Return every command there is: its help, and the place it is loaded from."""
     own = {name: (text, f"zerodrift.cli.{name}:command") for name, text in COMMANDS.items()}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        for name, told in point.load().items():
-            own.setdefault(name, told)
+    for told in load_parts(GROUP, dict):
+        for name, place in told.items():
+            own.setdefault(name, place)
     return own
 
 

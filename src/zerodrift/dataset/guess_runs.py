@@ -9,7 +9,7 @@ import numpy as np
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.roles import OUTPUT, RAW_THERMOMETER, STEADY, TEMPERATURE, Role, assign_roles
-from zerodrift.dataset.selectors import LOG_SUFFIXES, list_files, order_path
+from zerodrift.dataset.selectors import list_files, list_suffixes, order_path
 from zerodrift.dataset.survey import Survey, survey_source, write_range
 from zerodrift.dataset.text_format import NUMBER
 
@@ -71,7 +71,7 @@ def find_runs(
                 told = f" ({'; '.join(refused)})" if refused else ""
                 raise InputError(
                     f"{log}: holds no log{told}; expected files of rows that end in "
-                    f"{', '.join(LOG_SUFFIXES)}, or folders of them. Name another folder."
+                    f"{', '.join(list_suffixes())}, or folders of them. Name another folder."
                 )
             runs += found
         else:

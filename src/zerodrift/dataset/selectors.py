@@ -13,14 +13,19 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.fleet_config import URL
-from zerodrift.dataset.formats.registry import FORMAT_SUFFIXES
+from zerodrift.dataset.formats.registry import list_formats
 
 CSV_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 PARQUET_SUFFIXES = (".parquet", ".pq")
 ARROW_SUFFIXES = (".feather", ".arrow", ".ipc")
 JOINT = " + "
 """Between files that are one log."""
-LOG_SUFFIXES = CSV_SUFFIXES + PARQUET_SUFFIXES + ARROW_SUFFIXES + FORMAT_SUFFIXES
+
+
+def list_suffixes() -> tuple[str, ...]:
+    """Return what the names of logs end in: text, Parquet, Arrow, and what is read by libraries."""
+    return (*CSV_SUFFIXES, *PARQUET_SUFFIXES, *ARROW_SUFFIXES, *list_formats())
+
 
 _CUT = re.compile(r"^(?P<rest>.+)@(?P<start>[^@#/]*):(?P<stop>[^@#/]*)$")
 _RUN = re.compile(r"^(?P<rest>.+?)#(?P<run>[^#/]+)$")
@@ -149,10 +154,10 @@ def _expand_selector(directory: Path, text: str, where: str) -> list[Selection]:
         files = list_files(path)
         if not files:
             raise InputError(f"{where}: '{text}' selects {path.name}, a folder without logs.")
-        if path.is_file() and path.suffix.lower() not in LOG_SUFFIXES:
+        if path.is_file() and path.suffix.lower() not in list_suffixes():
             raise InputError(
                 f"{where}: '{text}' selects {path.name}; expected logs that end in "
-                f"{', '.join(LOG_SUFFIXES)}. Narrow the glob."
+                f"{', '.join(list_suffixes())}. Narrow the glob."
             )
         selections.append(Selection(path, tuple(files), run_pattern, cut, where))
     return selections
@@ -162,7 +167,7 @@ def list_files(path: Path) -> list[Path]:
     """Return a log's files, sorted by name: those of a folder that could be logs, or the one."""
     if not path.is_dir():
         return [path]
-    found = sorted(each for each in path.iterdir() if each.suffix.lower() in LOG_SUFFIXES)
+    found = sorted(each for each in path.iterdir() if each.suffix.lower() in list_suffixes())
     # The files of a rosbag2 folder are read together, by its metadata.yaml.
     bags = [each for each in found if each.suffix.lower() == ".db3"]
     return [each for each in found if each not in bags[1:]]
@@ -184,7 +189,7 @@ def _refuse_lost(directory: Path, pattern: str, text: str, paths: list[Path], wh
         return
     taken = {file.parent for file in paths}
     for path in _match(directory, pattern):
-        is_log = path.suffix.lower() in LOG_SUFFIXES or bool(path.is_dir() and list_files(path))
+        is_log = path.suffix.lower() in list_suffixes() or bool(path.is_dir() and list_files(path))
         if path.is_dir() and is_log and not any(p == path or path in p.parents for p in taken):
             raise InputError(
                 f"{where}: '{text}' selects files and the folder {path}, of which nothing would be"
@@ -250,7 +255,7 @@ def _explain_no_match(directory: Path, pattern: str, where: str) -> str:
         )
     folder = (directory / pattern).parent
     known = sorted(path.name for path in folder.glob("*") if path.is_file())
-    logs = [name for name in known if Path(name).suffix in LOG_SUFFIXES]
+    logs = [name for name in known if Path(name).suffix in list_suffixes()]
     if glob.has_magic(str(folder)):
         found = "nothing does."
     elif not folder.is_dir():

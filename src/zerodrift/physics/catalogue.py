@@ -4,17 +4,18 @@ import importlib.machinery
 import importlib.util
 import sys
 from collections.abc import Iterable
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import CodeType
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.plugins import EFFECTS, list_points, tell_missing
 from zerodrift.physics.effect import Effect
 from zerodrift.physics.registry import Catalogue, declare, register, registered
 
 __all__ = ["Catalogue", "load_built_ins", "load_catalogue", "register"]
 
-ENTRY_POINT_GROUP = "zerodrift.effects"
+_left_out: set[str] = set()
+"""Entry points that could not be loaded, which is said once."""
 
 
 def load_catalogue(plugin_files: Iterable[Path] = ()) -> Catalogue:
@@ -27,11 +28,16 @@ def load_catalogue(plugin_files: Iterable[Path] = ()) -> Catalogue:
         InputError: a file is missing, cannot be imported, or declares an unusable effect.
     """
     load_built_ins()
-    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        where = f"entry point {entry_point.value}"
-        if not any(effect.file == where for effect in registered.values()):
+    for point in list_points(EFFECTS):
+        where = f"entry point {point.value}"
+        if where in _left_out or any(effect.file == where for effect in registered.values()):
+            continue
+        try:
             with declare(where, registered):
-                entry_point.load()
+                point.load()
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's import raises
+            _left_out.add(where)
+            tell_missing(point, error)
     # A project's own effects are not shared: another project may use the same names.
     effects = dict(registered)
     for path in plugin_files:

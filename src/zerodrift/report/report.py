@@ -5,11 +5,13 @@ tables that it carries as CSV.
 """
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from zerodrift.base.arrays import Array
 from zerodrift.base.csv_text import render_rows
+from zerodrift.base.plugins import REPORT, load_parts
+from zerodrift.base.terminal import tell
 from zerodrift.diagnosis.diagnosis import HEADLINE
 from zerodrift.diagnosis.drivers import DriftDriver
 from zerodrift.diagnosis.run_spread import measure_spread
@@ -107,6 +109,40 @@ MOST_COEFFICIENTS = 24
 
 
 @dataclass(frozen=True)
+class ReportPart:
+    """A section that an installed package adds to the report, before the provenance."""
+
+    title: str
+    build: Callable[[Findings], Table | Picture | None]
+    """What the commands found -> a table, which the annex holds too, or a picture; None: no part.
+    """
+
+
+@dataclass(frozen=True)
+class PartSection:
+    """A further part as the report shows it."""
+
+    title: str
+    table: Table | None
+    picture: Picture | None
+
+
+def list_further(findings: Findings) -> list[PartSection]:
+    """Return the parts that installed packages add; one that fails is missing alone."""
+    found = []
+    for part in load_parts(REPORT, ReportPart):
+        try:
+            built = part.build(findings)
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's code raises
+            tell(f"the report's part '{part.title}' is left out: {type(error).__name__}: {error}")
+            continue
+        if built is not None:
+            table, picture = (built, None) if isinstance(built, Table) else (None, built)
+            found.append(PartSection(part.title, table, picture))
+    return found
+
+
+@dataclass(frozen=True)
 class OutputSection:
     """The cause picture of one output."""
 
@@ -130,6 +166,9 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
     files, versions = tables.tabulate_provenance(findings.provenance)
     told = tables.tabulate_datasheet(datasheet) if datasheet is not None else None
     runs = tables.tabulate_runs(compared)
+    parts = list_further(findings)
+    annexed = {part.title: part.table for part in parts if part.table is not None}
+    annexed |= {"datasheet": told} if told is not None else {}
     values: dict[str, object] = {
         "findings": findings,
         "title": f"{findings.sensor}: drift and its compensation",
@@ -170,7 +209,8 @@ def render_report(findings: Findings, datasheet: Sequence[DatasheetRow] | None =
         "firmware": tables.tabulate_firmware(firmware) if firmware else None,
         "certificate": tables.tabulate_certificate(certificate) if certificate else None,
         "datasheet": told,
-        "annex": list_annex(findings, {"datasheet": told} if told is not None else None),
+        "further": parts,
+        "annex": list_annex(findings, annexed),
         "files": files,
         "versions": versions,
     }

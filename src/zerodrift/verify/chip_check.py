@@ -39,7 +39,7 @@ def check_chip(
     """Run the C on an emulated core; None if unicorn or a compiler for the core is missing.
 
     Args:
-        core: one of `cores.CORES`.
+        core: one of `cores.list_emulated`.
         code: the model's C.
         host: the plain host build, already held against the reference.
         sequences: name -> raw codes [T, C].

@@ -17,7 +17,7 @@ from zerodrift.c_runtime.compilers import (
     can_sanitize,
     find_compilers,
 )
-from zerodrift.c_runtime.cores import CORES, find_cross_compilers
+from zerodrift.c_runtime.cores import find_cross_compilers, list_emulated
 from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate_again
 from zerodrift.codegen.identity import (
@@ -544,10 +544,10 @@ def _check_cores(
     """Run every layout on the cores that can be emulated."""
     why = why_no_emulator()
     if why:
-        check.not_checked += [NotChecked(core, why) for core in CORES]
+        check.not_checked += [NotChecked(core, why) for core in list_emulated()]
         return
     ways = list_core_ways(model)
-    for core in CORES:
+    for core in list_emulated():
         if not find_cross_compilers(core):
             check.not_checked.append(NotChecked(core, "no compiler for it: ziglang or GNU"))
             ways = tuple(way for way in ways if way.core != core)

@@ -24,7 +24,7 @@ from zerodrift.base.extras import (
 )
 from zerodrift.base.lock import LOCK, describe_holder, find_state, try_lock
 from zerodrift.c_runtime.compilers import find_compilers
-from zerodrift.c_runtime.cores import CORES, GCC_CORES, find_cross_compilers
+from zerodrift.c_runtime.cores import find_cross_compilers, list_cores
 
 PACKAGES: dict[str, str] = {
     "numpy": "arithmetic",
@@ -181,7 +181,7 @@ def _list_compilers() -> list[Item]:
     items = [
         Item("compilers", "host compiler", names or "missing", "" if hosts else problem, not hosts)
     ]
-    for core in {**CORES, **GCC_CORES}:
+    for core in list_cores():
         found = ", ".join(compiler.name for compiler in find_cross_compilers(core))
         remedy = "" if found else "`pip install ziglang`, or the GNU cross-compiler"
         items.append(Item("compilers", core, found or "missing", remedy, not found))

@@ -314,9 +314,9 @@ def refuse_unknown(required: Iterable[str]) -> None:
     Raises:
         InputError: which, and the nearest known one.
     """
-    from zerodrift.c_runtime.cores import CORES
+    from zerodrift.c_runtime.cores import list_emulated
 
-    known = ["manifest", HOST, SANITIZER, CERTIFICATE, "onnx", *CORES, *BEYOND]
+    known = ["manifest", HOST, SANITIZER, CERTIFICATE, "onnx", *list_emulated(), *BEYOND]
     for name in required:
         if name not in known:
             raise InputError(

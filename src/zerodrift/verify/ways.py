@@ -5,7 +5,7 @@ import platform
 from dataclasses import dataclass
 
 from zerodrift.c_runtime.compilers import HOST_MVE_DIRECTORY
-from zerodrift.c_runtime.cores import CORES
+from zerodrift.c_runtime.cores import list_emulated
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.gru.layouts import has_fast_kernels
 from zerodrift.operations.tables import TANH
@@ -20,7 +20,7 @@ class Way:
     name: str
     """As it is told: cortex-m4, or `host: pairs`."""
     core: str
-    """host, or one of `cores.CORES`."""
+    """host, or one of `cores.list_emulated`."""
     flags: tuple[str, ...] = ()
     needs: str = ""
     """What the host must be or have: x86-64, avx2."""
@@ -72,7 +72,7 @@ def list_host_ways(model: IntegerModel) -> tuple[Way, ...]:
 
 def list_core_ways(model: IntegerModel) -> tuple[Way, ...]:
     """Return the ways on emulated cores: each core as it is, then its other kernels."""
-    plain = tuple(Way(core, core) for core in CORES)
+    plain = tuple(Way(core, core) for core in list_emulated())
     if _is_fast(model):
         return plain + _CORES_FAST
     bends = bool(model.recurrents) or any(TANH in node.parts for node in model.nodes)

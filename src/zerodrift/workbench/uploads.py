@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import IO
 
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.selectors import LOG_SUFFIXES
+from zerodrift.dataset.selectors import list_suffixes
 
 LOGS = "logs"
 LARGEST_UPLOAD = 1 << 30
@@ -36,8 +36,8 @@ def place_upload(directory: Path, name: str, size: int | None) -> Path:
     plain = Path(name.replace("\\", "/")).name
     if plain != name or not plain or plain.startswith("."):
         raise InputError(f"{name!r}: is no plain file name; expected one without folders.")
-    if Path(plain).suffix.lower() not in LOG_SUFFIXES:
-        raise InputError(f"{plain}: is no log; expected one of {', '.join(LOG_SUFFIXES)}.")
+    if Path(plain).suffix.lower() not in list_suffixes():
+        raise InputError(f"{plain}: is no log; expected one of {', '.join(list_suffixes())}.")
     longest = LONGEST_NAME - len(PART)
     if len(plain.encode()) > longest:
         raise InputError(
@@ -57,7 +57,7 @@ def list_logs(directory: Path) -> list[str]:
         for place in (directory, directory / LOGS)
         if place.is_dir()
         for path in sorted(place.iterdir())
-        if path.suffix.lower() in LOG_SUFFIXES and path.is_file()
+        if path.suffix.lower() in list_suffixes() and path.is_file()
     ]
     return [path.relative_to(directory).as_posix() for path in found]
 

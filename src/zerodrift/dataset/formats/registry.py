@@ -3,41 +3,57 @@
 import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import tell_install
+from zerodrift.base.plugins import FORMATS as GROUP
+from zerodrift.base.plugins import load_parts
 from zerodrift.dataset.formats.tables import FormatTable
 
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of file that holds one table or several."""
+    """A kind of file that holds one table or several; an installed package may add its own."""
 
+    suffixes: tuple[str, ...]
+    """Small letters, with the dot."""
     name: str
-    """For messages."""
+    """For messages, with its article."""
     module: str
-    """Of this package; has `read(path) -> Iterable[FormatTable]`."""
-    packages: tuple[str, ...]
+    """Has `read(path) -> Iterable[FormatTable]`; imported where such a file is read."""
+    packages: tuple[str, ...] = ()
     """What it imports, by the names of the packages that hold it."""
 
 
-FORMATS = {
-    (".xlsx", ".xls", ".xlsm", ".ods"): Format("a spreadsheet", "excel", ("python-calamine",)),
-    (".h5", ".hdf5", ".hdf", ".mat"): Format("HDF5", "hdf5", ("h5py",)),
-    (".mcap",): Format("MCAP", "mcap_log", ("mcap", "mcap-ros2-support")),
-    (".db3",): Format("a rosbag2", "rosbag", ("rosbags",)),
-    (".ulg",): Format("ULog", "ulog", ("pyulog",)),
-    (".bin",): Format("an ArduPilot log", "ardupilot", ("pymavlink",)),
-}
+_OWN = "zerodrift.dataset.formats."
+FORMATS = (
+    Format(
+        (".xlsx", ".xls", ".xlsm", ".ods"), "a spreadsheet", f"{_OWN}excel", ("python-calamine",)
+    ),
+    Format((".h5", ".hdf5", ".hdf", ".mat"), "HDF5", f"{_OWN}hdf5", ("h5py",)),
+    Format((".mcap",), "MCAP", f"{_OWN}mcap_log", ("mcap", "mcap-ros2-support")),
+    Format((".db3",), "a rosbag2", f"{_OWN}rosbag", ("rosbags",)),
+    Format((".ulg",), "ULog", f"{_OWN}ulog", ("pyulog",)),
+    Format((".bin",), "an ArduPilot log", f"{_OWN}ardupilot", ("pymavlink",)),
+)
 _SHOWN = 6
-FORMAT_SUFFIXES = tuple(suffix for suffixes in FORMATS for suffix in suffixes)
+
+
+@cache
+def list_formats() -> dict[str, Format]:
+    """Return suffix -> format; those of installed packages do not replace zerodrift's own."""
+    found: dict[str, Format] = {}
+    for part in (*FORMATS, *load_parts(GROUP, Format)):
+        for suffix in part.suffixes:
+            found.setdefault(suffix, part)
+    return found
 
 
 def find_format(path: Path) -> Format | None:
     """Return the format of a file by its suffix; None for text, Parquet and Arrow."""
-    suffix = path.suffix.lower()
-    return next((each for suffixes, each in FORMATS.items() if suffix in suffixes), None)
+    return list_formats().get(path.suffix.lower())
 
 
 def read_tables(path: Path, label: str, known: Format) -> list[FormatTable]:
@@ -52,11 +68,14 @@ def read_tables(path: Path, label: str, known: Format) -> list[FormatTable]:
         InputError: its library is not installed, the file is damaged, or it has no table.
     """
     try:
-        module = importlib.import_module(f"zerodrift.dataset.formats.{known.module}")
+        module = importlib.import_module(known.module)
     except ImportError as error:
+        own = known in FORMATS
+        remedy = f"Run: {tell_install('formats')}" if own else "Install it, or mend the plug-in."
         raise InputError(
-            f"{label}: is {known.name}, which is read by {' and '.join(known.packages)}: not "
-            f"installed here ({error}). Expected that library. Run: {tell_install('formats')}"
+            f"{label}: is {known.name}, which is read by"
+            f" {' and '.join(known.packages) or known.module}: not installed here ({error})."
+            f" Expected that library. {remedy}"
         ) from error
     read: Callable[[Path], Iterable[FormatTable]] = module.read
     try:
