@@ -32,7 +32,7 @@ def import_onnx(path: Path) -> bytes | None:
     if part is None:
         return None
     try:
-        return part.to_onnx(path)
+        return bytes(part.to_onnx(path))
     except Exception as error:  # whatever a stranger's code raises
         raise InputError(
             f"{path}: cannot be read as {part.name} ({type(error).__name__}: {error}); expected a"

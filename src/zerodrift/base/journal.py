@@ -39,10 +39,10 @@ from zerodrift.base.lock import (
     find_state,
     lock_project,
     take_turns,
-    tell,
     try_lock,
 )
 from zerodrift.base.records import from_json, read_sealed, render_sealed, to_dict
+from zerodrift.base.terminal import tell
 
 FORMAT = 1
 BEGIN, FORWARD, BACK = ".begin", ".forward", ".back"
