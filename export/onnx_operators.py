@@ -94,7 +94,7 @@ def bind_features(value: Value, position: int) -> OnnxSignal:
         size = value.axes[position].size
         if size is None:
             raise Unsupported(
-                f"the file does not tell the length of axis {position} of input '{value.name}';"
+                f"the file does not state the length of axis {position} of input '{value.name}';"
                 " export it with a fixed number of features"
             )
         return bind(value, size, position)

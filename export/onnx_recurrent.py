@@ -105,7 +105,7 @@ def _check_lengths(lengths: Value, time: Axis) -> None:
         )
     if time.size is None:
         raise Unsupported(
-            f"it is given sequence_lens of {sorted(found)}, and the file does not tell the length"
+            f"it is given sequence_lens of {sorted(found)}, and the file does not state the length"
             " of the sequence. Export it without sequence_lens, or with a fixed length"
         )
     if found != {time.size}:
