@@ -124,7 +124,7 @@ def _check_lengths(lengths: Value, time: Axis) -> None:
         )
     if time.size is None:
         raise Unsupported(
-            f"it is given sequence_lens of {sorted(found)}, and the file does not tell the length"
+            f"it is given sequence_lens of {sorted(found)}, and the file does not state the length"
             " of the sequence. Export it without sequence_lens, or with a fixed length"
         )
     if found != {time.size}:
@@ -363,7 +363,7 @@ def bind_features(value: Value, position: int) -> OnnxSignal:
         size = value.axes[position].size
         if size is None:
             raise Unsupported(
-                f"the file does not tell the length of axis {position} of input '{value.name}';"
+                f"the file does not state the length of axis {position} of input '{value.name}';"
                 " export it with a fixed number of features"
             )
         return bind(value, size, position)

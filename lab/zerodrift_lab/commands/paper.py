@@ -34,7 +34,7 @@ CALLED = "# The paper's experiments on the twin"
 @click.option(
     "--sensors",
     type=click.IntRange(1, 1000),
-    help="Simulated specimens (default 5, or 2 with --quick).",
+    help="Simulated sensors (default 5, or 2 with --quick).",
 )
 @click.option("--seeds", type=click.IntRange(1, 1000), help="Starts of a method (default 3, or 1).")
 @click.option(

@@ -191,7 +191,7 @@ class TwinOptions:
     "--size",
     type=float,
     default=None,
-    help="RMS of each hidden effect beyond the told model, over the noise RMS.",
+    help="RMS of each hidden effect beyond the model of --told, over the noise RMS.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--period", type=float, default=1.0, show_default=True, help="Seconds per sample.")
@@ -248,7 +248,7 @@ class TwinOptions:
     type=click.IntRange(0),
     default=0,
     show_default=True,
-    help="Six-axis: which specimen.",
+    help="Six-axis: which simulated sensor.",
 )
 @click.option(
     "--loop",

@@ -243,7 +243,7 @@ def find_taken_headers(folder: Path, texts: Mapping[str, str]) -> Iterator[str]:
     for name in sorted(asked):
         if any((place / name).exists() for place in (folder, folder.parent / SHARED_RUNTIME)):
             yield (
-                f"{name}: lies beside the C, where a compiler may read it in the place of its own;"
+                f"{name}: lies beside the C, where a compiler may read it in place of its own;"
                 " remove it"
             )
 

@@ -68,8 +68,8 @@ def command(
     """Run the model of the last `firmware` over LOG... and write what it gives for every row.
 
     Each output gains OUTPUT_drift, OUTPUT_compensated (measured less drift) and OUTPUT_uncertainty
-    (expanded, k = 2), in its unit; `flags` are the chip's. A log needs no reference. Rows without a
-    reading are given to the chip as such.
+    (expanded, k = 2), in N or the like; `flags` are the chip's. A log needs no reference. Rows
+    without a reading are given to the chip as such.
     """
     request = ApplyRequest(ProjectFolder(directory, sensor, skip_invalid), logs, out, kind, block)
     with show_progress() as progress:

@@ -55,7 +55,7 @@ def command(
 
     Every effect of the catalogue that is not in the model is tried. What it would gain is judged
     on training runs left out, against what chance could do, and beside the noise floor. The
-    verdict is the name of an effect, with those that these logs cannot tell from it; or that
+    verdict is the name of an effect, with those that these logs cannot distinguish from it; or that
     nothing is missing; or that something is, which the catalogue does not know.
 
     In a fleet's folder all units of the design speak together, and those that differ are named;

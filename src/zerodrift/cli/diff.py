@@ -48,7 +48,7 @@ def command(
     as_json: bool,
     skip_invalid: bool,
 ) -> None:
-    """Say what changed from OLD to NEW, and by how much the drift differs, in its unit.
+    """Say what changed from OLD to NEW, and by how much the drift differs, in N or the like.
 
     OLD and NEW are projects, firmware folders or model.json files. The drifts are compared over
     LOG..., or else over the calibrated range that both have.

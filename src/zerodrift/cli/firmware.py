@@ -143,7 +143,7 @@ def command(request: FirmwareRequest, as_json: bool) -> None:
     """Train if needed, quantize, generate C, and check it bit for bit on this host.
 
     Writes <out>/<sensor>.h and .c with runtime, certificate.json and manifest.json beside them,
-    build/model.json, integer.onnx and golden.npz, and prints the errors in physical units with
+    build/model.json, integer.onnx and golden.npz, and prints the errors in N or the like, with
     flash, RAM and stack. Nothing is written unless every compared bit is equal and every bound of
     the certificate is derived again from the C.
 
@@ -154,7 +154,7 @@ def command(request: FirmwareRequest, as_json: bool) -> None:
     in temperature or the physical model alone, or than the float model by more than rounding
     explains: exit code 1, unless --force.
 
-    With --onnx FILE the network comes from any program that exports ONNX, and takes the same road;
+    With --onnx FILE the network comes from any program that exports ONNX, and is treated the same;
     --calibrate LOG... names the logs that set the ranges of the integers.
     """
     with show_progress() as progress:

@@ -81,7 +81,7 @@ def command(request: FleetRequest, as_json: bool) -> None:
     the shared firmware/runtime/, and build/fleet/report.json, .csv and .md. With [firmware]
     coefficients = "block" one firmware/program/ in their place, and firmware/blocks/SENSOR.*.
 
-    A rerun works only on sensors whose logs or design have changed, or that failed. A bad log
+    A second call works only on sensors whose logs or design have changed, or that failed. A bad log
     spoils its own sensor only. Exit code 1: a sensor has no result, is refused by the gate and not
     forced, or exceeds a limit.
     """

@@ -52,7 +52,7 @@ def command(
 ) -> None:
     """Show every effect that was added or removed, with the held-out errors it brought.
 
-    The table gives the errors in their units; the bars give them as multiples of the noise floor,
+    The table gives the errors in N or the like; the bars give them as multiples of the noise floor,
     root mean square over the outputs, on a logarithmic scale that begins at the floor.
     """
     found = show_history(HistoryRequest(ProjectFolder(directory, sensor), restore, html))

@@ -55,9 +55,9 @@ def command(
 
     A LOG is a file, or a folder: of runs, of folders of runs, or of the files that are one run
     together, say a meter's and a climate logger's; names are looked up in the current directory,
-    then in DIR. Columns are told by name, unit and values: time_s, temperature_degC, Fz_N,
-    ref_Fz_N, supply_V. What was seen is printed, and what to check; in the file, `# check:` names
-    what else a value may be.
+    then in DIR. Columns are known by name, unit of measure and values: time_s, temperature_degC,
+    Fz_N, ref_Fz_N, supply_V. What was seen is printed, and what to check; in the file, `# check:`
+    names what else a value may be.
 
     --upgrade takes no LOG and guesses nothing. Where a project leaves the codes of its inputs to
     its logs, so that units of one design may get different ones, those chosen so far are written

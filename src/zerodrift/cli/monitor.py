@@ -95,7 +95,7 @@ def command(request: MonitorRequest, as_json: bool) -> None:
     """Hold the model of the last `firmware`, with the unit's block, against new logs of its unit.
 
     LOG is a file as [logs] names them; SOURCE is - (CSV on standard input) or "command:CMD" (CSV
-    that a command prints). Tells flags, the range that is used and, where the true value is known,
+    that a command prints). Reports flags, the range in use and, where the true value is known,
     whether the zero ages, has stepped, or another model or unit is in use.
 
     Exit code 1: an alarm stands. The state goes on from call to call; another model begins anew.

@@ -55,7 +55,7 @@ def command(request: NeighbourRequest, as_json: bool) -> None:
     """Write the model of the last `firmware` as another program takes it, and what it loses.
 
     They take a polynomial in the temperature and nothing else: memory, load and other inputs are
-    lost. The loss is stated in the sensor's unit against the full model, over LOG... (default:
+    lost. The loss is stated in N or the like, against the full model, over LOG... (default:
     those of [logs]) and over the calibrated range.
     """
     with show_progress("reading") as progress:

@@ -138,7 +138,7 @@ def list_units(as_json: bool, place: RegistryPlace) -> None:
 @json_option
 @place_options
 def history(serial: str, as_json: bool, place: RegistryPlace) -> None:
-    """Tell what happened to a unit, the oldest first."""
+    """List what happened to a unit, the oldest first."""
     told = tell_history(place, serial)
     if as_json:
         print_result(told)

@@ -69,10 +69,10 @@ def command(
     Every file is compared with firmware/manifest.json; the folder's own C and runtime are compiled
     in each of their layouts, for this host and for emulated cores, and run with build/integer.onnx
     over the golden vectors; names in the header are compared with the model, and every bound of
-    certificate.json is derived again from the C. What cannot run here is told as not checked.
+    certificate.json is derived again from the C. What cannot run here is reported as not checked.
 
     Nothing is built or run of files that differ from the manifest, unless by --trust; the lines in
-    which they differ from what is generated are told. C that this user's own zerodrift did not
+    which they differ from what is generated are listed. C that this user's own zerodrift did not
     write is asked about first, once for each content.
 
     Exit code 1: a file was changed, is missing or stale, a bit or a name in the header differs, a

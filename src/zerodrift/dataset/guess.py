@@ -411,7 +411,7 @@ def _choose_outputs(
                 "an input, a true value, or of no use: it moves, and nothing else claims it",
             )
             alternatives[f"outputs.{short}.unit"] = ("V", "mV", "ohm", "N", "g", "ppm")
-            checks.append(f"the log does not state the unit of {short}; taken as LSB")
+            checks.append(f"the log does not state the unit of measure of {short}; taken as LSB")
         elif not column.unit:
             checks.append(f"the unit of {short}, {unit}, is taken from {source}")
         outputs.append(GuessedOutput(short, measured, reference, unit, round_up(peak), source))
@@ -473,7 +473,7 @@ def _choose_period(
         unit = ""
         first = next((f.survey.times for f in files if f.survey.times is not None), None)
         if first is not None and not read_time_unit(first.config.name):
-            unit = ": are the times in another unit?"
+            unit = ": are the times in another unit of measure?"
         alternatives["sample_period_s"] = ("another, if the unit of the times is another",)
         checks.append(f"a row every {period:g} s is unusual{unit}")
     return period

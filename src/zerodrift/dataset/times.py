@@ -397,7 +397,7 @@ def _order_repeated(
 def _explain_repeated(label: str, zone: str, local_s: float, how: str) -> str:
     return (
         f"{label}: the hour from {write_local(local_s)} on is there twice in {zone}, and the log's "
-        f"clock goes back in it {how}; expected it to go back once, which tells the two apart. If "
+        f"clock goes back in it {how}; expected it to go back once, which shows which is which. If "
         "the clock was not put back, state a fixed zone such as +01:00; else split the log there."
     )
 

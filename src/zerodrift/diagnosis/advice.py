@@ -486,12 +486,12 @@ def _explain_heat(advice: Advice) -> list[str]:
         )
         if not advice.thermometers:
             sentences.append(
-                "One thermometer does not tell the ways apart; a second one on the elastic body, "
+                "One thermometer does not distinguish the paths; a second one on the elastic body, "
                 "as an input, would."
             )
     else:
         names = " and ".join(advice.thermometers)
-        sentences.append(f"Heat paths: more than one, and {names} tells them apart.")
+        sentences.append(f"Heat paths: more than one, and {names} distinguishes them.")
     for name, kelvin in advice.untold_K.items():
         told = "" if kelvin > EXCITED_K else ", so no heat reached it by a way of its own"
         sentences.append(
@@ -540,7 +540,7 @@ def _list_protocols(
                 "a second thermometer",
                 "Log a thermometer on the elastic body beside the chip's, as a column under "
                 "[inputs], and repeat a chamber cycle and a one-sided run",
-                "the chip's history does not tell one way of heating from another",
+                "the chip's history does not show one way of heating from another",
             )
         )
     slowest = max((t.tau_s for t in found), default=0.0)

@@ -58,7 +58,7 @@ def describe_bad_run(
         return None
     return (
         f"{100.0 * share:.0f} % of the squared error beyond the noise lies in run {worst}, which "
-        "is unlike the others: look at that run first; it may be another device, or something "
+        "is unlike the others: look at that run first; it may be another sensor, or something "
         "happened in it"
     )
 

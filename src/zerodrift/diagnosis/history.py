@@ -246,7 +246,7 @@ def list_steps(entries: Sequence[Entry]) -> tuple[Step, ...]:
                 if set(entry.effects_before) != set(steps[-1].effects):
                     reason = "zerodrift.toml was edited"
                 elif entry.held_out != steps[-1].held_out:
-                    reason = f"from here on errors are told otherwise: {entry.held_out}"
+                    reason = f"from here on errors are of another kind: {entry.held_out}"
                     label = "same model"
                 elif entry.tared != tared:
                     reason = "from here on each run's own offset " + (

@@ -252,7 +252,7 @@ def explain_plan(plan: PlanSummary, directory: Path) -> list[str]:
     sentences = []
     if plan.before is not None:
         past = plan.before
-        came = "they are told apart now" if past.told_apart else "they are not told apart yet"
+        came = "they are distinguished now" if past.told_apart else "they are not distinguished yet"
         sentences.append(
             f"The plan before this one gave {', '.join(past.effects)} a probability of "
             f"{past.probability:.2f}; {came} (verdict: {past.verdict}"

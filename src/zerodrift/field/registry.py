@@ -329,7 +329,7 @@ class Registry:
                     raise InputError(
                         f"{self.path}: {serial} has another block of sequence {own.sequence},"
                         f" {known[:12]} of {edition.calibrated}; expected a larger sequence than"
-                        " that, as a chip that holds both cannot tell which is the newer. Make the"
+                        " that, as a chip that holds both cannot know which is the newer. Make the"
                         " block again with `zerodrift firmware` or `fleet`, which count it."
                     )
             cursor.execute(

@@ -137,7 +137,7 @@ class Processes:
             is_whole = True
         except BrokenProcessPool as error:
             raise CheckError(
-                "a worker process ended unexpectedly, most likely for want of memory. Sensors that"
+                "a worker process ended unexpectedly, most likely for lack of memory. Sensors that"
                 " were done are kept: the same command goes on; try fewer --jobs or a smaller"
                 " --batch."
             ) from error

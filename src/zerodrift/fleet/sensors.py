@@ -183,7 +183,7 @@ def names_urls(config: Config) -> bool:
 
 
 def find_sensors(config: Config) -> tuple[str, ...]:
-    """Return the sensors' names, sorted: whatever stands in the place of `{sensor}`.
+    """Return the sensors' names, sorted: whatever stands in place of `{sensor}`.
 
     Raises:
         InputError: nothing says where the sensors are, or nothing is there.
@@ -204,7 +204,7 @@ def find_sensors(config: Config) -> tuple[str, ...]:
         kind = "folder" if config.fleet.folder else "log"
         raise InputError(
             f"{where}: no {kind} matches '{pattern}'; expected one or more per sensor, its name in"
-            f" the place of {PLACEHOLDER}. Correct the path, which is relative to"
+            f" place of {PLACEHOLDER}. Correct the path, which is relative to"
             f" {config.directory}."
         )
     return tuple(sorted(names))

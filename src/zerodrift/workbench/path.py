@@ -206,11 +206,11 @@ def _tell_why_firmware(explained: ExplainedDiagnosis, standing: ProjectStanding,
     if weak:
         return (
             f"{diagnosis.effect} may be missing, but the evidence is weak; the model can be built "
-            "as it is. More runs would tell."
+            "as it is. More runs would show."
         )
     ratio = f"{diagnosis.floor_ratio_before:.2f} times the noise floor"
     if diagnosis.verdict == "complete":
-        return f"Nothing is missing that these logs can tell; runs left out are at {ratio}."
+        return f"Nothing is missing that these logs can show; runs left out are at {ratio}."
     return f"A network learns what no effect explains; runs left out are at {ratio}."
 
 

@@ -72,7 +72,7 @@ def _show_alarm(one: UnitStanding) -> Component:
         for finding in one.findings
         if finding.is_alarm
     ]
-    words = f"Told since {write_date(_find_since(one))}. Last log read: {_tell_watched(one)}."
+    words = f"Reported since {write_date(_find_since(one))}. Last log read: {_tell_watched(one)}."
     button = html.Button(f"History of {serial}", **{"data-unit": serial})
     return html.Li([html.H3(serial), *told, html.P(words, className="note"), button])
 

@@ -45,7 +45,7 @@ def read(path: Path) -> Iterable[FormatTable]:
             " at the far end (Ctrl+End goes there), split the sheet, or export it as CSV."
         )
     if done.returncode != 0:
-        raise ValueError(told[-1].partition(": ")[2] or told[-1] if told else "no reason told")
+        raise ValueError(told[-1].partition(": ")[2] or told[-1] if told else "no reason given")
     for name, file in json.loads(lines[-1]):
         yield FormatTable(name, None, text=folder / file)
 
