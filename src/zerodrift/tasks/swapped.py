@@ -62,9 +62,7 @@ class _Swap:
 
 
 def find_systematic(found: Uncertainty | None) -> dict[str, float]:
-    """Return output -> standard uncertainty of a mean: without a reading's noise, as far as the
-    degrees of freedom of the whole tell the two apart.
-    """
+    """Return output -> standard uncertainty of a mean, as far as it is told apart from noise."""
     told = {}
     for name, one in found.outputs.items() if found else ():
         whole = one.standard**2
@@ -211,8 +209,9 @@ def _add(
                     {s: _shorten(m.residual) for s, m in zip(serials, part, strict=True)}
                     for part in (others[: len(serials)], others[len(serials) :])
                 ),
-                looks=before.looks if before is not None else (),
             )
+            if before is not None:
+                outputs[name] = replace(outputs[name], looks=before.looks)
 
 
 def _decide(
@@ -238,8 +237,9 @@ def _decide(
         calibrated = np.array([unit.calibrated.get(name, standard) for unit in units])
         foretold = Foretold(means, others, calibrated, flagged, output.looks)
         weighed[name] = (foretold, Before(before, learned, rules))
-        looks = add_look(output.looks, means.place.size, state.block_s)
-        outputs[name] = replace(output, looks=looks)
+        outputs[name] = replace(
+            output, looks=add_look(output.looks, means.place.size, state.block_s)
+        )
     found = find_unit(weighed, len(serials))
     if found is None:
         return "", None
