@@ -11,9 +11,11 @@ from zerodrift.field.swapped import (
     Before,
     Foretold,
     UnitsWeighed,
+    add_look,
     choose,
     count_fewest,
     find_unit,
+    weigh_units,
 )
 from zerodrift.field.watch import BlockMeans, Learned, Rules
 
@@ -49,6 +51,18 @@ def draw_case(seed: int, units: int, mounted: int | None, *, twin: bool = False,
     before = draw_means(rng, 0, old, np.zeros(2))
     foretold = Foretold(new, left, np.full(units, RULES.calibrated), np.zeros(left.shape))
     return {"y": (foretold, Before(before, learned, RULES))}
+
+
+def draw_part(seed: int) -> tuple[Foretold, Before]:
+    """Return four days over a third of the range, where models leave the next order, x^3."""
+    rng = np.random.default_rng(seed)
+    before = draw_case(seed, 1, 0)["y"][1]
+    blocks = draw_means(rng, OLD, 24, np.zeros(2))
+    warm = 0.3 * blocks.temperature
+    known = rng.normal(size=(20, 2)) * (22.0, 9.0) @ np.stack([warm, warm**2])
+    left = 0.25 * rng.choice([-1, 1]) * np.sqrt(7.0) / 2 * (5 * warm**3 - 3 * warm)
+    blocks = replace(blocks, residual=blocks.residual + known[3] + left, temperature=warm)
+    return Foretold(blocks, blocks.residual - known, np.full(20, 0.25), 0.0 * known), before
 
 
 @pytest.mark.parametrize(("units", "cases"), [(1, 20), (12, 12), (60, 4)])
@@ -91,12 +105,7 @@ def test_less_than_a_day_names_nobody() -> None:
 def test_a_model_that_leaves_more_than_the_noise_is_not_possible_however_bad_the_others() -> None:
     (foretold, before) = draw_case(0, 1, 0)["y"]
     rough = np.where(np.arange(NEW) % 2, 1.0, -1.0)
-    blocks = BlockMeans(
-        foretold.blocks.place,
-        foretold.blocks.count,
-        foretold.blocks.residual + rough,
-        foretold.blocks.temperature,
-    )
+    blocks = replace(foretold.blocks, residual=foretold.blocks.residual + rough)
     left = Foretold(blocks, foretold.residual + rough, foretold.calibrated, foretold.flagged)
     told = find_unit({"y": (left, before)}, 1)
     assert told.named is None and not told.possible
@@ -120,6 +129,25 @@ def test_a_trained_model_is_judged_by_what_its_own_calibration_leaves() -> None:
     assert sum(one.named == 3 for one in own) >= 10
     assert all(one.named in (3, None) for one in own)
     assert sum(3 in one.possible for one in others) <= 3  # with a model that is that certain
+
+
+def test_what_a_fit_leaves_first_is_expected_in_a_part_of_the_range() -> None:
+    told = [find_unit({"y": draw_part(seed)}, 20).named for seed in range(10)]
+    assert told.count(3) >= 5  # 3 where it must follow temperature and its square
+    assert set(told) <= {3, None}
+
+
+def test_a_look_spends_its_chance_only_where_it_was_taken() -> None:
+    looks: tuple[int, ...] = ()
+    for count in range(5, 30):
+        looks = add_look(looks, count, RULES.block_s)
+    assert looks == (6, 12, 24)
+    for seed in range(3):
+        foretold, before = draw_part(seed)
+        (at_once, late) = (
+            weigh_units(replace(foretold, looks=taken), before).needed[3] for taken in ((), (6, 12))
+        )
+        assert at_once < late < np.inf
 
 
 def test_a_block_outside_the_range_of_a_unit_says_nothing_against_it() -> None:

@@ -53,11 +53,11 @@ def write_swapped(
 ) -> Path:
     """Write a log of SN01, in whose place another unit is from day 20 on.
 
-    Its drift bends by `bend` N per kelvin farther than 7.5 K from 25 degC.
+    Its drift bends by `bend` N per kelvin farther than 8 K from 25 degC.
     """
     day = np.arange(30 * DAY) / DAY
     warm = 25 + 7 * np.sin(2 * np.pi * day) + 3 * np.sin(2 * np.pi * day / 5.3 + 11)
-    drift = (slope - SLOPES["SN01"]) * (warm - 25) + bend * np.maximum(np.abs(warm - 25) - 7.5, 0)
+    drift = (slope - SLOPES["SN01"]) * (warm - 25) + bend * np.maximum(np.abs(warm - 25) - 8, 0)
     zero = (np.arange(30 * DAY) >= SWAPPED) * (1.0 + drift)
     whole = write_log(path, 11, 30, begin_s=BEGIN_S, slope=SLOPES["SN01"], zero=zero)
     lines = whole.read_text().splitlines()
@@ -124,6 +124,7 @@ def test_a_name_comes_from_logs_of_several_calls(fleet, tmp_path) -> None:
     kept = json.loads((tmp_path / "s.json").read_text())["sought"]
     assert kept["named"] == "SN03"
     assert set(kept["models"]) == {"SN02", "SN03", "SN04"}
+    assert kept["outputs"]["y"]["looks"] == [11]
 
 
 def test_a_unit_is_named_that_is_in_use_outside_its_calibrated_range(fleet, tmp_path) -> None:

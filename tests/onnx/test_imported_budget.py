@@ -6,14 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.onnx.graphs import keras
-from tests.onnx.test_firmware_onnx import (
-    DEVIATION,
-    FEATURES,
-    MEAN,
-    TOML,
-    scale_inputs,
-    write_logs,
-)
+from tests.onnx.test_firmware_onnx import DEVIATION, FEATURES, MEAN, TOML, scale_inputs, write_logs
 from tests.onnx.torch_networks import Form, export
 
 from zerodrift.base.config import load_config

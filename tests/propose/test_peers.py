@@ -4,13 +4,7 @@ import numpy as np
 from benchmarks.bench_peers import Trial, gather, run_trials, tell, try_peer
 from benchmarks.bench_propose import RIGHT
 from benchmarks.formula_cases import FORMS, simulate
-from benchmarks.formula_peers import (
-    TrainingRows,
-    centre,
-    learn_forward,
-    list_library,
-    list_views,
-)
+from benchmarks.formula_peers import TrainingRows, centre, learn_forward, list_library, list_views
 
 
 def test_forward_selection_finds_columns_whatever_the_offsets_of_runs():

@@ -71,6 +71,8 @@ class SearchedOutput:
     flagged: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """Serial number -> share of each block's steps that the unit's own model flags; without it,
     none, as in states that were kept before there was this."""
+    looks: tuple[int, ...] = ()
+    """Counts of blocks at which a name was sought."""
 
 
 @dataclass(frozen=True)

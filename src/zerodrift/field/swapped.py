@@ -8,15 +8,16 @@ as far as the noise is what was learnt.
 How often a stranger is named is not for that probability to say, as with many known units it may
 look like one of them. So strangers are drawn, like the known ones or, where these are few, unlike
 in their dependence on temperature; and the unit's likelihood ratio to a stranger must exceed what
-`FALSE_NAME` of them reach with any of the known units, by now or before: a Monte Carlo test
-(Barnard, J. R. Statist. Soc. B 25, 1963), its chance spent as blocks come (Lan and DeMets, Discrete
-sequential boundaries for clinical trials, Biometrika 70, 1983).
+`FALSE_NAME` of them reach with any known unit, now or before: a Monte Carlo test (Barnard,
+J. R. Statist. Soc. B 25, 1963), its chance spent by look (Lan and DeMets, Biometrika 70, 1983).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
+from numpy.polynomial.legendre import legval
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
@@ -36,17 +37,17 @@ ENOUGH = 8
 """Units from which the known ones show how units differ; with fewer, drift may differ otherwise."""
 NO_NOISE = 1e-3
 """Chance that the right unit is refused because it leaves more than the noise that was learnt."""
-MISFITS = (0.5, 0.15, 0.05, 0.0)
-"""What a model may leave beside noise and what follows temperature and its square, in its
-calibration's standard uncertainties: smooth in temperature, with its change, and of any form,
-another in each block; the three together nearly as much as the uncertainty at most. As that holds
-the noise of a reading too, which a mean over a block does not, it may be much less."""
+MISFITS = tuple(product((False, True), (0.5, 0.15, 0.05, 0.0)))
+"""What a model may leave beside noise, in its calibration's standard uncertainties: whether it is
+the next order, which a fit of temperature and its square leaves first, or follows these two; and
+the share of what is smooth in temperature, with its change, and of any form, block by block."""
 DRAWN = 500
 """Strangers that are drawn: the chance of a false name is then known to a fifth of itself."""
 AT_ONCE = 4_000_000
 """Numbers that are held at a time while strangers are weighed."""
-FEWEST = 6
-"""Blocks since the change, and a day of them: a day has a warm and a cold hour."""
+FEWEST, MOST = 6, 84
+"""Blocks since the change: a day of them, as a day has a warm and a cold hour; and those from which
+there is no more to learn: two weeks of four hours each."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,12 @@ class Foretold:
     residual: Array
     """[u, n] of the other units."""
     calibrated: Array
-    """[u] standard uncertainty of each one's model inside its range, in the output's unit."""
+    """[u] standard uncertainty of a mean under each one's model inside its range, in its unit."""
     flagged: Array
     """[u, n] share of a block's steps that each one's model flags, as outside its range: of them it
     foretells no more than that the drift is that of some unit."""
+    looks: tuple[int, ...] = ()
+    """Counts of blocks at which a name was sought before."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,12 @@ class FoundUnit:
 def count_fewest(block_s: float) -> int:
     """Return how many blocks since the change are needed."""
     return max(FEWEST, int(np.ceil(WAIT_S / block_s)))
+
+
+def add_look(looks: tuple[int, ...], count: int, block_s: float) -> tuple[int, ...]:
+    """Return the looks to be kept, with one at `count` blocks where these have doubled since."""
+    fewest = 2 * looks[-1] if looks else count_fewest(block_s)
+    return looks if count < fewest else (*looks, count)
 
 
 def find_unit(outputs: Mapping[str, tuple[Foretold, Before]], units: int) -> FoundUnit | None:
@@ -207,7 +216,10 @@ def weigh_units(foretold: Foretold, before: Before, false: float = FALSE_NAME) -
     worth[-1] = False
     if worth.any():
         best = int(np.argmax(np.where(worth, own, -np.inf)))
-        needed[best] = _find_needed(each, middle, apart, best, by_way[:, best], before, false)
+        looks = np.unique([*foretold.looks, middle.size])
+        doubled = np.log2(2 * np.append(looks, MOST) / count_fewest(before.rules.block_s))
+        spent = false * doubled[:-1] / doubled.max()
+        needed[best] = _find_needed(each, middle, apart, best, by_way[:, best], looks, spent)
     return UnitsWeighed(own, unknown, needed, is_noise)
 
 
@@ -255,14 +267,16 @@ def _list_ways(
     spread = apart.T @ apart / max(units - 1, 1) * (1.0 + 1.0 / units)
     follow = new.follow()
     linear = follow @ follow.T
+    cubic = np.sqrt(7.0) * legval(new.temperature, (0.0, 0.0, 0.0, 1.0))  # RMS 1 inside
     rest = new.misfit() - linear + np.eye(n)
     ways = []
     widths = UNLIKE if units < ENOUGH else ()
     kinds, kind = np.unique(np.column_stack([calibrated, flagged]), axis=0, return_inverse=True)
     for number, (uncertainty, *shares) in enumerate(kinds):
         outside = np.diag(np.square(shares) * np.diag(spread))
-        for share, part in enumerate(MISFITS):
-            whole = given.covariance + uncertainty**2 * (linear + part**2 * rest) + outside
+        for share, (is_next, part) in enumerate(MISFITS):
+            shape = (np.outer(cubic, cubic) if is_next else linear) + part**2 * rest
+            whole = given.covariance + uncertainty**2 * shape + outside
             near = tuple(
                 cholesky(whole + (width * (typical + uncertainty)) ** 2 * linear, lower=True)
                 for width in widths
@@ -302,9 +316,7 @@ def _weigh(
             whole = _likelihood(way.spread, deviation, np.zeros((n, 1)), given, looks)[0]
             strange.append(np.broadcast_to(whole, likely.shape))
             both[0][way.share][..., way.chosen] = likely
-            both[1][way.share][..., way.chosen] = np.logaddexp.reduce(strange) - np.log(
-                len(strange)
-            )
+            both[1][way.share][..., way.chosen] = logsumexp(strange, axis=0) - np.log(len(strange))
             is_noise[way.chosen] |= _is_noise(white, given)
         by_way[number] = both[0, :, -1, 0].T
         whole = logsumexp(both[0], axis=0)
@@ -352,35 +364,24 @@ def _find_needed(
     apart: Array,
     best: int,
     by_way: Array,
-    before: Before,
-    false: float,
+    looks: Counts,
+    spent: Array,
 ) -> float:
     """Return the log ratio against a stranger that one unit needs to be named.
 
-    Strangers that leave as much beside noise as this unit does are drawn, and followed from the
-    first block at which a unit may be named, whenever the blocks have doubled, until now: half of
-    the chance is spent on the first, and the rest in proportion to what the blocks have added.
-
-    Args:
-        each: by noise.
-        middle: [n] mean of what the units' models leave.
-        apart: [u, n] what each one leaves less that mean.
-        best: the unit.
-        by_way: [noises, shares] its log likelihood.
-        before: gives the length of a block.
-        false: the chance.
+    Strangers that leave as much beside noise as this unit does are drawn, and followed from look to
+    look: those that were named at one are not there at the next. `apart` [u, n] is what each unit's
+    model leaves less the mean of all, `middle` [n]; `by_way` [noises, shares] the log likelihood of
+    the unit `best`; `looks` [l] the counts of blocks at which a name was sought and is now, and
+    `spent` [l] the chance of a false name by then.
     """
     rng = np.random.default_rng(0)
-    first = count_fewest(before.rules.block_s)
     n, u = apart.shape[1], len(apart)
-    looks = first * 2 ** np.arange(int(np.log2(n / first)) + 1)
-    looks = np.unique(np.append(looks, n))
     chances = np.exp(by_way - logsumexp(by_way)).ravel()
     chosen = rng.choice(chances.size, size=DRAWN, p=chances / chances.sum())
     drift = np.empty((n, DRAWN))
     for number, (given, ways) in enumerate(each):
-        mine = [way for way in ways if way.chosen[best]]
-        for way in mine:
+        for way in (way for way in ways if way.chosen[best]):
             here = np.flatnonzero(chosen == number * len(MISFITS) + way.share)
             mean = (middle - given.middle)[:, None]
             white = _likelihood(way.own, mean, apart[best][:, None], given, looks)[1]
@@ -398,11 +399,8 @@ def _find_needed(
         own, unknown, _, _ = _weigh(each, drift[:, start : start + step], apart, looks)
         ratios.append((own - unknown)[..., :-1].max(axis=2))
     ratio = np.concatenate(ratios, axis=1)
-    spent, needed = 0, 0.0
-    for look, count in enumerate(looks):
-        left = int(DRAWN * false * (1.0 - 0.5 * first / count)) - spent
-        needed = max(0.0, float(np.sort(ratio[look])[::-1][left]))
-        over = ratio[look] > needed
-        spent += int(over.sum())
-        ratio = ratio[:, ~over]
+    needed = 0.0
+    for look, chance in enumerate(spent):
+        needed = max(0.0, float(np.sort(ratio[look])[DRAWN - 1 - int(DRAWN * chance)]))
+        ratio = ratio[:, ratio[look] <= needed]
     return needed

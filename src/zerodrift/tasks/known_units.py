@@ -14,7 +14,7 @@ from zerodrift.field.registry import open_registry
 from zerodrift.fleet.sensors import FOLDER, find_sensors
 from zerodrift.tasks.built import load_uncertainty
 from zerodrift.tasks.monitored_log import Deployed
-from zerodrift.tasks.swapped import KnownUnit
+from zerodrift.tasks.swapped import KnownUnit, find_systematic
 
 SHOWN = 3
 """Units that a note names."""
@@ -54,16 +54,10 @@ def find_known(
     notes = left[:SHOWN]
     if len(left) > SHOWN:
         notes.append(f"{len(left) - SHOWN} more units are not tried")
-    units = tuple(
-        KnownUnit(s, known[s], _find_calibrated(config, s, known[s])) for s in sorted(known)
-    )
-    return units, tuple(notes)
-
-
-def _find_calibrated(config: Config, serial: str, model: IntegerModel) -> dict[str, float]:
-    """Return output -> standard uncertainty of a unit's model, as the fleet has measured it."""
-    found = load_uncertainty(config.build_directory / FOLDER / serial, model.hash)
-    return {name: one.standard for name, one in found.outputs.items()} if found else {}
+    place = config.build_directory / FOLDER
+    measured = {s: load_uncertainty(place / s, model.hash) for s, model in known.items()}
+    units = [KnownUnit(s, known[s], find_systematic(measured[s])) for s in sorted(known)]
+    return tuple(units), tuple(notes)
 
 
 def _list_fleet(config: Config, wrong: dict[str, str]) -> Iterator[tuple[str, IntegerModel]]:

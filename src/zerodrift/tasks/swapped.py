@@ -14,17 +14,16 @@ from zerodrift.c_runtime.host import build_host_batch
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.field.blocks import join_blocks, make_blocks
-from zerodrift.field.state import MonitorState, OutputState, SearchedOutput, UnitSearch
+from zerodrift.field.state import MonitorState, SearchedOutput, UnitSearch
 from zerodrift.field.summary import NAMED, NONE, POSSIBLE, TOO_LITTLE, UnitSought
-from zerodrift.field.swapped import FALSE_NAME, Before, Foretold, find_unit
-from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, ChangeFound, Rules
+from zerodrift.field.swapped import FALSE_NAME, MOST, Before, Foretold, add_look, find_unit
+from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, Rules
 from zerodrift.tasks.apply import Chip
 from zerodrift.tasks.monitored_log import Deployed, MonitoredLog, apply_to, open_log
+from zerodrift.verify.uncertainty import Uncertainty
 
 BATCH = 32
 """Models that are compiled together."""
-MOST = 84
-"""Blocks since the change that are kept: two weeks of four hours each."""
 SHOWN = 5
 """Units that a sentence lists."""
 
@@ -36,7 +35,7 @@ class KnownUnit:
     serial: str
     model: IntegerModel
     calibrated: Mapping[str, float]
-    """Output -> standard uncertainty of the model inside its range, in its unit; where that is
+    """Output -> standard uncertainty of a mean inside the model's range, in its unit; where it is
     not known, as of a block in the registry, that of the unit that should be there is taken."""
 
 
@@ -62,6 +61,16 @@ class _Swap:
     """Whether it was there from the first sample on."""
 
 
+def find_systematic(found: Uncertainty | None) -> dict[str, float]:
+    """Return output -> standard uncertainty of a mean, as far as it is told apart from noise."""
+    told = {}
+    for name, one in found.outputs.items() if found else ():
+        whole = one.standard**2
+        least = whole * np.sqrt(2.0 / one.degrees_of_freedom)
+        told[name] = float(np.sqrt(max(whole - one.noise**2, least)))
+    return told
+
+
 def wants_name(state: MonitorState) -> bool:
     """Return whether another unit is in place that has no name yet."""
     return _find_change(state) is not None
@@ -70,23 +79,17 @@ def wants_name(state: MonitorState) -> bool:
 def _find_change(state: MonitorState) -> _Swap | None:
     """Return when another unit took the place; None where none did."""
     changes = [
-        _Swap(_find_last(output, found), found.cause == OTHER_MODEL)
-        for output in state.outputs.values()
-        if (found := output.finding) is not None
-        and found.told is not None
-        and found.cause in (OTHER_UNIT, OTHER_MODEL)
+        _Swap(max(one.place[f.since], f.begun[1] - 1 if f.begun else 0), f.cause == OTHER_MODEL)
+        for one in state.outputs.values()
+        if (f := one.finding) is not None
+        and f.told is not None
+        and f.cause in (OTHER_UNIT, OTHER_MODEL)
     ]
     if not changes:
         return None
     if all(change.is_first for change in changes):
         return _Swap(min(change.place for change in changes) - 1, True)
     return _Swap(max(change.place for change in changes if not change.is_first), False)
-
-
-def _find_last(output: OutputState, found: ChangeFound) -> int:
-    """Return the number of the last block that the change may lie in or after."""
-    place = output.place[found.since]
-    return place if found.begun is None else max(place, found.begun[1] - 1)
 
 
 def seek_unit(
@@ -207,6 +210,8 @@ def _add(
                     for part in (others[: len(serials)], others[len(serials) :])
                 ),
             )
+            if before is not None:
+                outputs[name] = replace(outputs[name], looks=before.looks)
 
 
 def _decide(
@@ -216,24 +221,25 @@ def _decide(
     change: _Swap,
     units: Sequence[KnownUnit],
 ) -> tuple[str, tuple[str, ...] | None]:
-    """Return the unit that is named, and those that are not ruled out."""
+    """Return the unit that is named, and those that are not ruled out; note the looks taken."""
     weighed = {}
+    samples = state.block_s / deployed.config.sample_period_s
     serials = tuple(unit.serial for unit in units)
     for name, output in outputs.items():
         watched = state.outputs[name]
         if not change.is_first and watched.learned is None:
             continue
-        means, others, flagged = _whole(
-            output, state.block_s / deployed.config.sample_period_s, serials
-        )
-        uncertainty = deployed.uncertainty.outputs.get(name) if deployed.uncertainty else None
-        standard = uncertainty.standard if uncertainty else float(np.std(watched.residual))
+        means, others, flagged = _whole(output, samples, serials)
+        standard = find_systematic(deployed.uncertainty).get(name, float(np.std(watched.residual)))
         rules = Rules(state.per_month, state.block_s, standard, state.learn_s)
         learned = None if change.is_first else watched.learned
         before = watched.blocks.first(learned.blocks if learned is not None else 0)
         calibrated = np.array([unit.calibrated.get(name, standard) for unit in units])
-        foretold = Foretold(means, others, calibrated, flagged)
+        foretold = Foretold(means, others, calibrated, flagged, output.looks)
         weighed[name] = (foretold, Before(before, learned, rules))
+        outputs[name] = replace(
+            output, looks=add_look(output.looks, means.place.size, state.block_s)
+        )
     found = find_unit(weighed, len(serials))
     if found is None:
         return "", None
