@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import beta
 
-from zerodrift.field.blocks import make_blocks
-from zerodrift.field.watch import Rules, follow
+from zerodrift.field.watch import Rules, follow, make_blocks
 
 Array = NDArray[np.float64]
 

@@ -34,9 +34,8 @@ from benchmarks.bench_monitor import (
     draw_noise,
     draw_temperature,
 )
-from zerodrift.field.blocks import make_blocks
 from zerodrift.field.swapped import Before, Foretold, find_unit
-from zerodrift.field.watch import OTHER_UNIT, BlockMeans, Rules, follow
+from zerodrift.field.watch import OTHER_UNIT, BlockMeans, Rules, follow, make_blocks
 
 MOUNTED = KNOWN, STRANGER, COUSIN = ("known", "stranger", "cousin")
 TRAINED = 0.2

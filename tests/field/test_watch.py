@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from benchmarks.bench_monitor import draw_unit
 
-from zerodrift.field.blocks import join_blocks, make_blocks
 from zerodrift.field.noise import MEMORIES, correlate, fit_noise
-from zerodrift.field.watch import STEP, BlockMeans, Rules, follow
+from zerodrift.field.watch import STEP, BlockMeans, Rules, follow, join_blocks, make_blocks
 
 BLOCK_S = 14_400.0
 RULES = Rules(0.01, BLOCK_S, 0.02)

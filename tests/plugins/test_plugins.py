@@ -98,9 +98,9 @@ def test_a_command_is_listed_and_runs(rig):
 def test_a_part_is_in_the_report_and_its_table_in_the_annex(rig):
     still = np.zeros(40)
     trace = make_trace(still, still, temperature=still + 25.0, load=still)
-    page = render_report(make_findings(
-        traces=(trace,), provenance=Provenance((), {"zerodrift": "0.1.0"}, "")
-    ))
+    page = render_report(
+        make_findings(traces=(trace,), provenance=Provenance((), {"zerodrift": "0.1.0"}, ""))
+    )
     assert "<h2>Rig</h2>" in page
     assert "rig.csv" in page.lower()
 

@@ -47,6 +47,7 @@ from zerodrift.tasks.export import ExportRequest, export
 from zerodrift.tasks.firmware import FirmwareRequest, make_firmware
 from zerodrift.tasks.fleet import FleetRequest, calibrate_fleet
 from zerodrift.tasks.init import InitRequest, begin
+from zerodrift.tasks.monitor import MonitorRequest, monitor_unit
 from zerodrift.tasks.neighbour import NeighbourRequest, write_neighbour
 from zerodrift.tasks.package import PackageRequest, write_package
 from zerodrift.tasks.plan import PlanRequest, plan
@@ -66,7 +67,6 @@ from zerodrift.tasks.revise import (
 from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.tasks.trust import remember
 from zerodrift.tasks.verify import VerifyRequest, check_folder, prove, verify
-from zerodrift.tasks.watched import MonitorRequest, monitor_unit
 from zerodrift.verify.summary import FirmwareSummary, VerifySummary
 from zerodrift.workbench.run import WorkbenchRequest, run_workbench
 

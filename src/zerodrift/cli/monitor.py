@@ -16,7 +16,7 @@ from zerodrift.cli.common import (
 )
 from zerodrift.cli.console import open_console, open_table, show_progress
 from zerodrift.field.summary import MonitorResult
-from zerodrift.tasks.watched import MonitorRequest, list_texts, monitor_unit
+from zerodrift.tasks.monitor import MonitorRequest, list_texts, monitor_unit
 
 
 @click.command()

@@ -1,10 +1,4 @@
-"""The noise of means over blocks of time: white, flicker, and noise with a memory of hours.
-
-Flicker noise is a sum of first-order processes whose time constants double and whose variances are
-equal (Keshner, 1/f noise, Proc. IEEE 70, 1982). Variances are fitted by restricted maximum
-likelihood, which takes a zero and a dependence on temperature off without counting them as noise
-(Patterson and Thompson, Biometrika 58, 1971).
-"""
+"""Means over blocks of time, and their noise: white, flicker, and noise with a memory of hours."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,6 +8,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from zerodrift.base.arrays import Array
+
+# The noise of means over blocks of time: white, flicker, and noise with a memory of hours.
+#
+# Flicker noise is a sum of first-order processes whose time constants double and whose variances
+# are equal (Keshner, 1/f noise, Proc. IEEE 70, 1982). Variances are fitted by restricted maximum
+# likelihood, which takes a zero and a dependence on temperature off without counting them as noise
+# (Patterson and Thompson, Biometrika 58, 1971).
 
 MEMORIES = (0.25, 0.75, 2.0)
 """Time constants of the noise with a memory, in blocks."""

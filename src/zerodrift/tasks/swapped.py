@@ -9,16 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
-from zerodrift.base.errors import CheckError
+from zerodrift.base.config import Config, load_config
+from zerodrift.base.errors import CheckError, InputError
+from zerodrift.blocks.block import apply, decode
+from zerodrift.blocks.design import find_design, load_design
 from zerodrift.c_runtime.host import build_host_batch
 from zerodrift.codegen.generate import generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.field.blocks import join_blocks, make_blocks
+from zerodrift.export.model_files import load_model
+from zerodrift.field.registry import FILE_NAME as REGISTRY
+from zerodrift.field.registry import open_registry
 from zerodrift.field.state import MonitorState, SearchedOutput, UnitSearch
 from zerodrift.field.summary import NAMED, NONE, POSSIBLE, TOO_LITTLE, UnitSought
 from zerodrift.field.swapped import FALSE_NAME, MOST, Before, Foretold, add_look, find_unit
-from zerodrift.field.watch import OTHER_MODEL, OTHER_UNIT, BlockMeans, Rules
+from zerodrift.field.watch import (
+    OTHER_MODEL,
+    OTHER_UNIT,
+    BlockMeans,
+    Rules,
+    join_blocks,
+    make_blocks,
+)
+from zerodrift.fleet.sensors import FOLDER, find_sensors
 from zerodrift.tasks.apply import Chip
+from zerodrift.tasks.built import load_uncertainty
 from zerodrift.tasks.monitored_log import Deployed, MonitoredLog, apply_to, open_log
 from zerodrift.verify.uncertainty import Uncertainty
 
@@ -200,18 +214,19 @@ def _add(
             means = [join_blocks(one, more) for one, more in zip(older, newer, strict=True)]
         first, *others = (one.first(min(MOST, one.place.size)) for one in means)
         if first.place.size:
+            beside, flagged = (
+                {s: _shorten(m.residual) for s, m in zip(serials, part, strict=True)}
+                for part in (others[: len(serials)], others[len(serials) :])
+            )
             outputs[name] = SearchedOutput(
                 tuple(int(p) for p in first.place),
                 _shorten(first.count),
                 _shorten(first.temperature),
                 _shorten(first.residual),
-                *(
-                    {s: _shorten(m.residual) for s, m in zip(serials, part, strict=True)}
-                    for part in (others[: len(serials)], others[len(serials) :])
-                ),
+                beside,
+                flagged,
+                before.looks if before is not None else (),
             )
-            if before is not None:
-                outputs[name] = replace(outputs[name], looks=before.looks)
 
 
 def _decide(
@@ -285,3 +300,79 @@ def tell_sought(state: MonitorState) -> UnitSought | None:
 
 def _shorten(values: Array) -> tuple[float, ...]:
     return tuple(float(f"{value:.9g}") for value in values)
+
+
+# The other units of a design that the fleet or the registry knows, with their models.
+
+SHOWN_UNITS = 3
+"""Units that a note names."""
+
+
+def find_known(
+    directory: Path, deployed: Deployed, *, in_fleet: bool
+) -> tuple[tuple[KnownUnit, ...], tuple[str, ...]]:
+    """Return the other units, sorted by serial number, and notes on those that cannot be tried.
+
+    The fleet's models come first, then the newest block of each further unit in the registry.
+
+    Args:
+        directory: of zerodrift.toml.
+        deployed: the unit that should be there; is not among them.
+        in_fleet: whether it is a unit of a fleet.
+
+    Raises:
+        InputError: the registry cannot be read.
+    """
+    config = load_config(directory)
+    own = {deployed.sensor, deployed.serial}
+    known: dict[str, IntegerModel] = {}
+    wrong: dict[str, str] = {}
+    for serial, model in (
+        *(_list_fleet(config, wrong) if in_fleet else ()),
+        *_list_registry(directory, config, wrong),
+    ):
+        if serial in own or serial in known:
+            continue
+        names = tuple(output.name for output in model.outputs)
+        if names != tuple(output.name for output in deployed.model.outputs):
+            wrong[serial] = f"its model has other outputs: {', '.join(names)}"
+            continue
+        known[serial] = model
+    left = [f"{serial} is not tried: {why}" for serial, why in wrong.items() if serial not in known]
+    notes = left[:SHOWN_UNITS]
+    if len(left) > SHOWN_UNITS:
+        notes.append(f"{len(left) - SHOWN_UNITS} more units are not tried")
+    place = config.build_directory / FOLDER
+    measured = {s: load_uncertainty(place / s, model.hash) for s, model in known.items()}
+    units = [KnownUnit(s, known[s], find_systematic(measured[s])) for s in sorted(known)]
+    return tuple(units), tuple(notes)
+
+
+def _list_fleet(config: Config, wrong: dict[str, str]) -> Iterator[tuple[str, IntegerModel]]:
+    """Yield the fleet's units with their models; enter those without one."""
+    for sensor in find_sensors(config):
+        path = config.build_directory / FOLDER / sensor / "model.json"
+        try:
+            yield sensor, load_model(path)
+        except InputError as error:
+            wrong[sensor] = str(error)
+
+
+def _list_registry(
+    directory: Path, config: Config, wrong: dict[str, str]
+) -> Iterator[tuple[str, IntegerModel]]:
+    """Yield the registry's units with the models that their blocks hold; enter those without."""
+    path = directory / REGISTRY
+    if not path.is_file():
+        return
+    with open_registry(path) as registry:
+        blocks = registry.list_blocks(config.sensor_name)
+    place = find_design(config.firmware_out)
+    if place is None or not blocks:
+        return
+    design = load_design(place)
+    for serial, content in blocks.items():
+        try:
+            yield serial, apply(design, decode(design, content, f"{path.name}, {serial}"))
+        except InputError as error:
+            wrong[serial] = str(error)
