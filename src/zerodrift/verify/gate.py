@@ -437,10 +437,15 @@ def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> s
             )
         return f"Rounding costs {split.rounding:.2g} {unit}: use 16-bit weights, or fewer effects."
     if worst == "clamped":
-        return (
-            f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): the training"
-            " runs drift less than these."
-        )
+        stands = f"The correction stands at its limit ({split.clamped:.2g} {unit} of it)"
+        if replay.model.feeds_back and not _drifts_beyond(k, replay):
+            return (
+                f"{stands}, though the float model's answers lie within it: the chip takes a load"
+                " for what it measured less its own last answer, and is caught in that loop. The"
+                " coefficients on loads are too large for it, as where logs do not tell two loads"
+                " apart. Leave out an effect of them, or record loads that differ."
+            )
+        return f"{stands}: the training runs drift less than these."
     ends = [
         f"{channel.name} from {find_held(channel)[0]:g} to {find_held(channel)[1]:g} {channel.unit}"
         for i, channel in enumerate(replay.model.channels)
@@ -452,6 +457,15 @@ def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> s
             f" {', '.join(ends)}, and these runs go beyond."
         )
     return f"Operations stand at their limits ({split.saturated:.2g} {unit} of it)."
+
+
+def _drifts_beyond(k: int, replay: ChipReplay) -> bool:
+    """Return whether the float model's answer is at an output's limits where the chip's is."""
+    model, scale = replay.model, replay.model.outputs[k].lsb_per_unit
+    low, high = model.drift.low[k] / scale, model.drift.high[k] / scale
+    parts = [r.floating[r.clamped[:, k] & r.inside[:, k], k] for r in replay.runs]
+    answers = np.concatenate(parts)
+    return bool(np.mean((answers <= low) | (answers >= high)) > 0.5)
 
 
 def _rms(parts: Sequence[Array]) -> float:
