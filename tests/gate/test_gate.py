@@ -90,34 +90,29 @@ def test_full_scale_far_too_large_is_refused_and_named(tmp_path: Path) -> None:
     assert "full_scale = 1e+07 bar is too large" in verdict.refused[-1].text
 
 
+LOADS_ALIKE = """sensor = { name = "alike", temperature = "temperature_degC", sample_period_s = 1 }
+outputs.p = { measured = "p", reference = "ref_p", unit = "V", full_scale = 1 }
+outputs.q = { measured = "q", reference = "ref_q", unit = "V", full_scale = 2 }
+logs = { train = ["a.csv", "b.csv", "c.csv"], test = ["d.csv"], tared = false, period_s = 1 }
+effect = [{ kind = "zero_tempco" }, { kind = "crosstalk" }]
+network = { kind = "none" }
+"""
+
+
 def write_loads_alike(folder: Path) -> Path:
     """Two outputs whose loads are one, but for little, with drifts that part them strongly."""
     rng = np.random.default_rng(4)
-    for name in ("a", "b", "c", "d"):
+    for name in "abcd":
         first = np.repeat(np.linspace(0.1, 0.95, 18), 60)
         second = 1.95 * first + 0.05 + 2e-4 * np.repeat(rng.standard_normal(18), 60)
         warm = 22.0 + 2.0 * np.sin(np.arange(first.size) / rng.uniform(100.0, 200.0))
         loads = np.stack([first, second])
         drift = np.array([[2.4, -1.23], [4.52, -2.29]]) @ loads + [[0.065], [0.069]]
-        drift += 1e-5 * rng.standard_normal(drift.shape)
-        columns = [np.arange(first.size), warm, *loads, *(loads + drift)]
-        np.savetxt(
-            folder / f"{name}.csv",
-            np.stack(columns, axis=1),
-            delimiter=",",
-            header="time_s,temperature_degC,ref_p,ref_q,p,q",
-            comments="",
-            fmt="%.7g",
-        )
-    lines = ["[sensor]", 'name = "alike"', 'time = "time_s"', 'temperature = "temperature_degC"']
-    lines += ["sample_period_s = 1"]
-    for output, scale in (("p", 1), ("q", 2)):
-        lines += [f"[outputs.{output}]", f'measured = "{output}"', f'reference = "ref_{output}"']
-        lines += ['unit = "V"', f"full_scale = {scale}"]
-    lines += ["[logs]", 'train = ["a.csv", "b.csv", "c.csv"]', 'test = ["d.csv"]']
-    lines += ["tared = false", "[[effect]]", 'kind = "zero_tempco"']
-    lines += ["[[effect]]", 'kind = "crosstalk"', "[network]", 'kind = "none"', ""]
-    (folder / "zerodrift.toml").write_text("\n".join(lines))
+        table = [warm, *loads, *(loads + drift + 1e-5 * rng.standard_normal(drift.shape))]
+        header = "temperature_degC,ref_p,ref_q,p,q"
+        file = folder / f"{name}.csv"
+        np.savetxt(file, np.transpose(table), "%.7g", ",", header=header, comments="")
+    (folder / "zerodrift.toml").write_text(LOADS_ALIKE)
     return folder
 
 
