@@ -1,4 +1,4 @@
-"""Kinds of wrong data beyond those of one column's unit: told with run, column and kind."""
+"""Wrong data in one run: told with run, column and kind; clean logs get no note."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from tests.physics.conftest import NOISE, SLOPE, follow, make_dataset
 
-from zerodrift.diagnosis.agreement import Bench
+from zerodrift.diagnosis.agreement import HARM, Bench
 from zerodrift.diagnosis.breaks import find_gain_change
 from zerodrift.diagnosis.data_notes import INFORMS, KINDS
 from zerodrift.diagnosis.explanations import find_reading
 from zerodrift.diagnosis.leaks import find_leaks
+from zerodrift.diagnosis.noise_gains import find_noise_gains
 from zerodrift.diagnosis.referee import review
 from zerodrift.diagnosis.sentinels import find_spikes, list_sentinels
-from zerodrift.diagnosis.standing import find_cut_off, find_wraps
+from zerodrift.diagnosis.standing import find_cut_off, find_standing, find_wraps
+from zerodrift.physics.rails import find_rails
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "wrong-data.md"
 
@@ -61,16 +63,10 @@ def put(value, places):
     return apply
 
 
-def cut(run):
-    rows = np.r_[0:200, 420:600]
-    return replace(
-        run,
-        time_s=run.time_s[: rows.size],
-        temperature_degC=run.temperature_degC[rows],
-        measured=run.measured[rows],
-        reference=run.reference[rows],
-        inputs={name: values[rows] for name, values in run.inputs.items()},
-    )
+def cut(run, rows):
+    """Leave some rows of a run, whose time goes on."""
+    left = run.take(rows)
+    return replace(left, time_s=run.time_s[: len(left)])
 
 
 def exchange(run):
@@ -78,8 +74,42 @@ def exchange(run):
     return replace(changed, temperature_degC=run.measured[:, 0])
 
 
+def spoil(dataset, **changes):
+    """Return the set with its third run changed."""
+    train = list(dataset.train)
+    train[2] = replace(train[2], **changes)
+    return replace(dataset, train=tuple(train))
+
+
+def jump(x):
+    return x + 40.0 * (np.arange(x.size) >= 333)
+
+
+def freeze(x):
+    rows = np.arange(x.size)
+    return np.where((rows > 150) & (rows < 450), x[200], x)
+
+
 SPIKED = np.arange(10, 590, 20)
 KINDS_TRIED = {
+    "gain": (lambda run: change_output(run, lambda x: 1000.0 * x), "Fz"),
+    "sign": (lambda run: change_output(run, lambda x: -x), "Fz"),
+    "fahrenheit": (lambda run: warm(run, lambda t: 1.8 * t + 32.0), "temperature"),
+    "kelvin": (lambda run: warm(run, lambda t: t + 273.15), "temperature"),
+    "frozen": (lambda run: warm(run, freeze), "temperature"),
+    "constant": (lambda run: warm(run, lambda t: np.full(t.size, 22.0)), "temperature"),
+    "offset_jump": (lambda run: change_output(run, jump), "Fz"),
+    "stuck": (
+        lambda run: change_output(run, lambda x: np.where(np.arange(x.size) < 420, x, x[420])),
+        "Fz",
+    ),
+    "wrapped": (
+        lambda run: change_output(
+            run, lambda x: np.where(x > np.quantile(x, 0.8), x - 3.0 * np.ptp(x), x)
+        ),
+        "Fz",
+    ),
+    "swapped ": (lambda run: replace(run, measured=run.measured[:, ::-1]), "Fz"),
     "sentinel": (lambda run: warm(run, put(-127.0, slice(100, 590, 37))), "temperature"),
     "sentinel ": (lambda run: change_output(run, put(9999.0, slice(250, 290))), "Fz"),
     "unit_change": (
@@ -95,6 +125,10 @@ KINDS_TRIED = {
         "Fz",
     ),
     "late_reference": (lambda run: change_reference(run, lambda r: np.roll(r, 25)), "reference"),
+    "foreign_column": (
+        lambda run: change_output(run, lambda x: 1.8 * run.temperature_degC + 32.0),
+        "Fz",
+    ),
     "missing_reference": (lambda run: change_reference(run, np.zeros_like), "reference"),
     "swapped": (exchange, "temperature"),
 }
@@ -110,14 +144,21 @@ def test_wrong_run_is_told_by_its_own_name(clean, kind):
     told = [note for note in found if note.kind == kind.strip()]
     assert told and column in told[0].column
     assert told[0].entry == f"run_3: {kind.strip()}"
+    assert told[0].rows[0] < told[0].rows[1] < 600
+    assert f"run run_3, column {told[0].column}" in told[0].write()
 
 
-def test_rows_that_were_cut_out_are_told(clean):
-    train = list(clean.train)
-    train[3] = cut(train[3])
-    found = [note for note in review(replace(clean, train=tuple(train))) if note.run == "run_3"]
-    assert [note.kind for note in found] == ["stitched"]
-    assert found[0].rows[0] == 200
+def test_what_begins_at_a_row_is_told_there(clean):
+    run = clean.train[2]
+    for changed, kind, row in (
+        (cut(run, np.r_[0:200, 420:600]), "stitched", 200),
+        (change_output(run, jump), "offset_jump", 333),
+        (cut(run, slice(0, None, 60)), "time_unit", 0),
+    ):
+        train = (*clean.train[:2], changed, *clean.train[3:])
+        found = [note for note in review(replace(clean, train=train)) if note.run == "run_2"]
+        assert [note.kind for note in found] == [kind]
+        assert found[0].rows[0] == pytest.approx(row, abs=1)
 
 
 def test_lamp_that_is_switched_is_no_sentinel():
@@ -209,27 +250,15 @@ def test_output_that_stops_at_its_highest_value_is_stuck_not_cut_off(clean):
     assert (note.run, note.kind) == ("run_3", "stuck")
 
 
-def freeze_before_a_jump(run):
-    t = run.temperature_degC.copy()
-    t[200:420] = t[200]
-    return replace(run, temperature_degC=t)
-
-
 def test_thermometer_that_stopped_until_a_jump_had_no_other_unit(clean):
     """The jump meets a conversion by chance, to a few hundredths of itself."""
     train = list(clean.train)
-    run = freeze_before_a_jump(train[3])
-    before, after = run.temperature_degC[419], run.temperature_degC[420]
-    fahrenheit = 1.8 * before + 32.0
-    moved = run.temperature_degC.copy()
-    moved[420:] += 1.02 * fahrenheit - after
-    train[3] = replace(run, temperature_degC=moved)
-    kinds = {
-        n.kind
-        for n in review(replace(clean, train=tuple(train)))
-        if (n.run, n.column) == ("run_3", "temperature")
-    }
-    assert kinds == {"frozen"}
+    moved = train[3].temperature_degC.copy()
+    moved[200:420] = moved[200]
+    moved[420:] += 1.02 * (1.8 * moved[419] + 32.0) - moved[420]
+    train[3] = replace(train[3], temperature_degC=moved)
+    found = {(n.run, n.column): n.kind for n in review(replace(clean, train=tuple(train)))}
+    assert found["run_3", "temperature"] == "frozen"
 
 
 def test_value_that_ends_the_log_within_reach_of_other_runs_is_no_sentinel():
@@ -238,6 +267,56 @@ def test_value_that_ends_the_log_within_reach_of_other_runs_is_no_sentinel():
     assert list_sentinels(x)
     assert not list_sentinels(x, elsewhere=[np.linspace(0.0, 30.0, 600)])
     assert list_sentinels(np.where(x == 26.0, 9999.0, x), elsewhere=[np.linspace(0.0, 30.0, 600)])
+
+
+def test_value_that_is_interpolated_at_its_ends_is_a_sentinel():
+    """A log that is resampled has a row between the value and what was read beside it."""
+    rng = np.random.default_rng(9)
+    x = 15.0 + 0.1 * rng.standard_normal(600)
+    for first in (100, 300, 480):
+        x[first : first + 40] = -127.0
+        x[[first - 1, first + 40]] = -127.0 + 140.0 * rng.random(2)
+    ((value, rows),) = list_sentinels(x)
+    assert value == -127.0
+    assert rows.sum() == 120
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_thermometer_rests_where_no_output_goes_on_and_is_cut_off_where_one_does(clean, hidden):
+    train = list(clean.train)
+    rows = np.arange(600)
+    felt = 30.0 - 25.0 * np.exp(-rows / 40.0)
+    true = felt + 20.0 * np.sin((rows - 330) / 90.0) * (rows > 330) * hidden
+    noise = 0.02 * NOISE * np.random.default_rng(3).normal(size=(600, 2))
+    measured = train[3].reference + (true - 25.0)[:, None] * SLOPE + noise
+    train[3] = replace(train[3], temperature_degC=np.round(felt, 1), measured=measured)
+    found = {(n.run, n.kind) for n in find_standing(train, clean.outputs)}
+    assert found == ({("run_3", "saturated")} if hidden else set())
+
+
+def test_dwell_that_spikes_as_often_as_the_runs_is_none_of_the_recorder(clean):
+    """Single rows of every log stand out: a disturbance of the sensor's own."""
+
+    def disturb(run, count):
+        rows = np.random.default_rng(len(run.name)).integers(5, len(run) - 5, count)
+        return change_output(run, lambda x: x + 400.0 * np.isin(np.arange(x.size), rows))
+
+    (rest,) = clean.dwell
+    spiking = disturb(rest, 3)
+    (note,) = review(replace(clean, dwell=(spiking,)))
+    assert (note.run, note.column, note.kind) == (rest.group, "Fz", "spikes")
+    every = tuple(disturb(run, 2) for run in clean.train)
+    assert not find_spikes((*every, spiking), clean.outputs)
+
+
+def test_steps_of_a_coarse_converter_beside_a_finer_reference_are_no_spikes(clean):
+    rng = np.random.default_rng(2)
+    (rest,) = clean.dwell
+    reference = rest.reference + 0.01 * rng.standard_normal(rest.reference.shape)
+    slow = np.linspace(0.0, 4.0, len(rest))[:, None]
+    measured = 5.0 * np.round(slow + 0.25 * rng.standard_normal((len(rest), 2)))
+    coarse = replace(rest, reference=reference, measured=measured)
+    assert not find_spikes((*clean.train, coarse), clean.outputs)
 
 
 @pytest.mark.parametrize(("height", "told"), [(2000.0, True), (3.0, False)])
@@ -270,18 +349,23 @@ def test_parts_of_one_log_are_not_told_apart_by_a_level_that_one_passes(clean):
     assert not find_cut_off([replace(r, source=one) for r in runs], clean.outputs)
 
 
-def test_reading_that_explains_the_worst_run_is_found_and_none_in_clean_runs(clean):
-    def look(train):
-        bench = Bench(train, clean.outputs, np.array(clean.full_scale))
-        return find_reading(bench, frozenset(range(len(train))))
+def test_output_that_stands_at_a_level_of_its_own_in_each_of_two_runs_is_not_cut_off(clean):
+    def cut_off(run, share):
+        return change_output(run, lambda x: np.minimum(x, np.quantile(x, share)))
 
-    assert look(clean.train) is None
-    train = list(clean.train)
-    train[3] = warm(train[3], lambda t: 1.8 * t + 32.0)
-    found = look(train)
+    wide = [change_output(run, lambda y: y + 2000.0 * (y > np.median(y))) for run in clean.train]
+    one = [cut_off(clean.train[0], 0.6), *wide[2:]]
+    assert {n.run for n in find_cut_off(one, clean.outputs)} == {"run_0"}
+    two = [*one, cut_off(clean.train[1], 0.5)]
+    assert find_cut_off(two, clean.outputs) == []
+
+
+def test_reading_that_explains_the_worst_run_is_found_and_none_in_clean_runs(clean):
+    assert find_reading(*hold(clean)) is None
+    in_degF = 1.8 * clean.train[2].temperature_degC + 32.0
+    found = find_reading(*hold(spoil(clean, temperature_degC=in_degF)))
     assert found is not None
-    assert found[0] == 3
-    assert (found[1][0].run, found[1][0].kind) == ("run_3", "fahrenheit")
+    assert (found[0], found[1][0].run, found[1][0].kind) == (2, "run_2", "fahrenheit")
 
 
 def test_page_lists_every_kind_and_whether_it_stops():
@@ -290,3 +374,142 @@ def test_page_lists_every_kind_and_whether_it_stops():
     told.pop("kind")
     told.pop("---")
     assert told == {kind: "no" if kind in INFORMS else "yes" for kind in KINDS}
+
+
+def test_clean_logs_get_no_note(clean):
+    assert review(clean) == ()
+    assert review(replace(clean, train=clean.train[:1])) == ()
+    assert review(make_dataset(lambda b: 0.0 * b.load, runs=4, length=300)) == ()
+
+
+def test_what_all_runs_show_is_no_wrong_data(clean):
+    jumping = replace(clean, train=tuple(change_output(run, jump) for run in clean.train))
+    assert review(jumping) == ()
+    flipped = replace(
+        clean, train=tuple(replace(run, measured=-run.measured) for run in clean.train)
+    )
+    assert all(note.kind != "sign" for note in review(flipped))
+
+
+def test_test_logs_that_reach_further_or_are_too_short_are_told(clean):
+    *train, last = clean.train
+    hot = replace(last, temperature_degC=last.temperature_degC + 60.0)
+    found = review(replace(clean, train=tuple(train), test=(hot,)))
+    assert ("run_6", "temperature", "beyond_training") in {
+        (note.run, note.column, note.kind) for note in found
+    }
+    short = review(replace(clean, train=tuple(train), test=(last.take(slice(0, 12)),)))
+    assert [note.kind for note in short] == ["too_short"]
+
+
+def test_coarse_converter_at_rest_does_not_wrap(clean):
+    rest = np.random.default_rng(1).integers(0, 3, 600)[:, None] * np.array([1.0, 0.01])
+    still = spoil(clean, measured=clean.train[2].reference + 0.0 * rest + rest)
+    assert all(note.kind != "wrapped" for note in review(still))
+
+
+def test_another_unit_shows_by_its_noise_in_a_run_of_a_kind_of_its_own(clean):
+    rng = np.random.default_rng(5)
+
+    def shake(run):
+        return run.measured + 3.0 * rng.standard_normal(run.measured.shape) * [0.05, 0.0005]
+
+    shaken = spoil(clean, measured=shake(clean.train[2]))
+    assert not find_noise_gains(shaken.train, clean.outputs)
+    thousandfold = clean.train[2].measured * [1000.0, 1.0]
+    (note,) = find_noise_gains(spoil(clean, measured=thousandfold).train, clean.outputs)
+    assert (note.run, note.column, note.kind) == ("run_2", clean.outputs[0], "gain")
+    assert "1000 times" in note.text
+
+
+def test_more_noise_alone_is_no_other_unit(clean):
+    rng = np.random.default_rng(6)
+    run = clean.train[2]
+    louder = run.measured + np.outer(2.0 * rng.standard_normal(len(run)), [1.0, 0.0])
+    assert not find_noise_gains(spoil(clean, measured=louder).train, clean.outputs)
+
+
+def hold(dataset):
+    bench = Bench(dataset.train, dataset.outputs, np.array(dataset.full_scale))
+    return bench, frozenset(range(len(bench.groups)))
+
+
+@pytest.mark.parametrize(("every", "as_measured"), [(97, False), (11, True)])
+def test_what_is_wild_all_over_is_taken_as_it_was_measured(every, as_measured, clean):
+    measured = clean.train[2].measured.copy()
+    measured[5::every, 0] += 400.0
+    spoilt = spoil(clean, measured=measured)
+    course = hold(spoilt)[0].courses[2][0]
+    assert np.array_equal(course.drift, spoilt.train[2].drift) == as_measured
+
+
+def test_a_drift_that_goes_with_the_load_is_no_other_gain(clean):
+    # In one run alone the load and the temperature move together.
+    bench, every = hold(clean)
+    assert bench.agrees("run_2", clean.outputs[0], every)
+    bench, every = hold(spoil(clean, measured=2.0 * clean.train[2].measured))
+    assert not bench.agrees("run_2", clean.outputs[0], every)
+
+
+def test_alike_samples_on_one_plateau_of_the_load_are_not_cut_off(clean):
+    """Chance repeats an extreme for a few samples; an amplifier at its end does for any load."""
+    highest = [float(run.measured[:, 0].max()) for run in clean.train]
+    place = int(np.argsort(highest)[len(highest) // 2])
+    run = clean.train[place]
+    top = int(np.argmax(run.measured[:, 0]))
+    rows = np.flatnonzero(run.reference[:, 0] == run.reference[top, 0])[:8]
+    train = list(clean.train)
+    train[place] = change_output(run, put(highest[place], rows))
+    assert find_rails(train[place].measured[:, 0], run.reference[:, 0]).sum() >= rows.size
+    assert find_cut_off(train, clean.outputs) == []
+    train[place] = change_output(run, lambda x: np.minimum(x, np.quantile(x, 0.5)))
+    (note,) = find_cut_off(train, clean.outputs)
+    assert (note.run, note.column, note.kind) == (run.group, clean.outputs[0], "saturated")
+
+
+def test_run_that_doubles_what_is_left_of_the_others_is_stopped_whatever_it_is(clean):
+    """No unit, sign or column explains it: it is another sensor's, or something unknown."""
+    run = clean.train[2]
+    assert hold(clean)[0].find_worst(hold(clean)[1]) is None
+    odd = 25.0 * np.sin(np.arange(len(run)) / 40.0)[:, None] * [1.0, 0.01]
+    spoilt = spoil(clean, measured=run.measured + odd)
+    bench, every = hold(spoilt)
+    assert bench.find_worst(every) == 2
+    assert bench.assess(2, every).harm.max() > HARM
+    (note,) = review(spoilt)
+    assert (note.run, note.kind) == ("run_2", "another_sensor")
+    assert "does not agree with the others" in note.text
+
+
+def test_run_that_goes_further_than_all_others_is_held_to_them_where_they_have_been():
+    """How its drift goes on beyond them, no fit of the others knows."""
+    apart = make_dataset(drifting, runs=5, length=600)
+    train = list(apart.train)
+    run = train[1]
+    warm = 5.0 + 95.0 * np.sin(np.pi * np.arange(len(run)) / len(run))
+    bent = np.where(warm > 55.0, 4.0 * (warm - 55.0), 0.0)[:, None] * SLOPE
+    drift = (follow(warm, 90.0) - 25.0)[:, None] * SLOPE + bent
+
+    def look(drift, rows=slice(None)):
+        whole = replace(run, temperature_degC=warm, measured=run.reference + drift)
+        train[1] = whole.take(rows)
+        bench, every = hold(replace(apart, train=tuple(train)))
+        return bench.assess(1, every).doubt.max(), bench.find_worst(every)
+
+    beyond = np.flatnonzero(warm > 55.0)
+    for rows in (slice(None), slice(int(beyond[0]), int(beyond[-1]))):
+        doubt, worst = look(drift, rows)
+        assert doubt > 1.0
+        assert worst is None
+    assert look(-drift)[1] == 1
+
+
+def test_parts_of_a_run_are_held_together(clean):
+    """A gap makes two stretches of a run; what is wrong with it is told once."""
+    run = clean.train[2]
+    reversed_run = replace(run, measured=-run.measured)
+    first, last = reversed_run.take(slice(0, 280)), reversed_run.take(slice(320, 600))
+    parts = (first, replace(last, name="run_2#2", part=1))
+    train = (*clean.train[:2], *parts, *clean.train[3:])
+    found = review(replace(clean, train=train))
+    assert {(note.run, note.kind) for note in found} == {("run_2", "sign")}

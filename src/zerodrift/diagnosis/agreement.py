@@ -74,6 +74,16 @@ def _average(x: Array, kept: NDArray[np.bool_], blocks: int) -> Array:
     return np.asarray(total[some] / counts[some][:, None])
 
 
+def lag(x: Array, sample_period_s: float) -> list[Array]:
+    """Return a signal [n] behind by each of LAGS_S, at rest at its first row."""
+    lagged = []
+    for tau_s in LAGS_S:
+        share = -np.expm1(-sample_period_s / tau_s)
+        state = np.array([(1.0 - share) * x[0]])
+        lagged.append(filter_recursively([share], [1.0, share - 1.0], x, state))
+    return lagged
+
+
 def _build(course: RunReading, scales: Array, blocks: int) -> tuple[Array, Array]:
     """Return basis [b, J] and drift [b, K] of a stretch, with a column for a later zero, if any."""
     run = course.run
@@ -81,12 +91,8 @@ def _build(course: RunReading, scales: Array, blocks: int) -> tuple[Array, Array
     warm = (run.temperature_degC - 25.0) / 30.0
     elapsed = np.arange(len(run)) * run.sample_period_s
     columns = [warm, warm**2, *load.T, *(load * warm[:, None]).T]
-    lagged, started = [], []
-    for tau_s in LAGS_S:
-        share = -np.expm1(-run.sample_period_s / tau_s)
-        state = np.array([(1.0 - share) * warm[0]])
-        lagged.append(filter_recursively([share], [1.0, share - 1.0], warm, state))
-        started.append(np.exp(-elapsed / (4.0 * tau_s)))
+    lagged = lag(warm, run.sample_period_s)
+    started = [np.exp(-elapsed / (4.0 * tau_s)) for tau_s in LAGS_S]
     columns += [run.inputs[name] for name in sorted(run.inputs)]
     columns += [lagged[1], lagged[0], lagged[2], *started, warm**3, *(load**2).T]
     columns.append(2.0 ** (3.0 * np.clip(warm, -5.0, 5.0)))
@@ -241,15 +247,29 @@ class Bench:
         return own.design @ self.fit([self.blocks[j] for j in sorted(rest - {i})]), own.drift
 
     def find_worst(self, rest: frozenset[int]) -> int | None:
-        """Return the run that disagrees most with the others; None where all agree."""
+        """Return the run that disagrees most with the others; None where all agree.
+
+        It does so at temperatures where others have been, too, if it has been there at all: how a
+        drift goes on beyond them, no fit of the others knows.
+        """
         if len(rest) < FEWEST_RUNS:
             return None
         doubts = {}
         for i in sorted(rest):
-            standing = self.assess(i, rest)
-            doubts[i] = float(standing.doubt.max()) if standing is not None else 0.0
+            standings = [self.assess(i, rest), self.assess(i, rest, self._stay_among(i, rest))]
+            doubts[i] = min(0.0 if s is None else float(s.doubt.max()) for s in standings)
         worst = max(doubts, key=lambda i: doubts[i])
         return worst if doubts[worst] >= 1.0 else None
+
+    def _stay_among(self, i: int, rest: frozenset[int]) -> list[RunReading]:
+        """Return a run without the rows that are warmer or colder than all other runs."""
+        others = [c.run.temperature_degC for j in rest - {i} for c in self.courses[j]]
+        low, high = min(map(np.min, others)), max(map(np.max, others))
+        warm = [course.run.temperature_degC for course in self.courses[i]]
+        return [
+            replace(course, kept=course.kept & (low <= t) & (t <= high))
+            for course, t in zip(self.courses[i], warm, strict=True)
+        ]
 
     def agrees(self, group: str, output: str, rest: frozenset[int]) -> bool:
         """Return whether no more is left of an output of a run than of the others."""

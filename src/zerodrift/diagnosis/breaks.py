@@ -62,17 +62,12 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         for k, name in enumerate(outputs):
             factor, row = find_gain_change(run.measured[:, k])
             if row and not _follows_load(run, k, row):
-                notes.append(
-                    DataNote(
-                        run.group,
-                        name,
-                        (row, len(run) - 1),
-                        "unit_change",
-                        f"from row {row} on values and noise are {factor:.4g} times those before: "
-                        "another unit or gain. Convert one part, or cut the run there "
-                        "(file@from:to)",
-                    )
+                text = (
+                    f"from row {row} on values and noise are {factor:.4g} times those before: "
+                    "another unit or gain. Convert one part, or cut the run there "
+                    "(file@from:to)"
                 )
+                notes.append(DataNote(run.group, name, (row, len(run) - 1), "unit_change", text))
     return notes
 
 
@@ -155,34 +150,27 @@ def _tell_break(run: Run, found: ColumnBreak, runs: Sequence[Run]) -> DataNote:
     stand = _measure_stand(run.temperature_degC, found.row)
     by_stand = _share_standing(runs, stand)
     if by_unit <= min(by_stand, CHANCE):
-        return DataNote(
-            run.group,
-            "temperature",
-            rows,
-            "unit_change",
+        text = (
             f"goes from {found.before:.4g} to {found.after:.4g} at row {found.row}, which is "
             f"{words}: the unit changes within the run. Convert one part, or cut the run there "
-            "(file@from:to)",
+            "(file@from:to)"
         )
+        return DataNote(run.group, "temperature", rows, "unit_change", text)
     if by_stand <= CHANCE:
-        return DataNote(
-            run.group,
-            "temperature",
-            (found.row - stand, found.row - 1),
-            "frozen",
+        text = (
             f"the thermometer repeats one value {stand} times and then jumps from "
             f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
-            "rows out ([logs] train takes file@from:to), or record the run again",
+            "rows out ([logs] train takes file@from:to), or record the run again"
         )
-    return DataNote(
-        run.group,
-        "temperature",
-        rows,
-        "stitched",
+        return DataNote(
+            run.group, "temperature", (found.row - stand, found.row - 1), "frozen", text
+        )
+    text = (
         f"goes from {found.before:.4g} to {found.after:.4g} degC between two rows, and nowhere "
         "else: rows are missing there, though the time goes on, or two recordings were put "
-        "together. Cut the run there (file@from:to)",
+        "together. Cut the run there (file@from:to)"
     )
+    return DataNote(run.group, "temperature", rows, "stitched", text)
 
 
 def find_gain_change(x: Array) -> tuple[float, int]:

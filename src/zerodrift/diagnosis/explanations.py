@@ -183,7 +183,7 @@ def _list_all(
 ) -> Iterator[Explanation]:
     wrong = [k for k in range(len(bench.outputs)) if now.doubt[k] >= 0.5]
     yield from _list_readings(bench, i, rest, wrong)
-    yield from _cut_thermometer(bench, i)
+    yield from _cut(bench, i, "temperature", lambda run: run.temperature_degC)
     for k in wrong:
         yield from _shift(bench, i, k)
         yield from _move_zero(bench, i, rest, k)
@@ -239,21 +239,24 @@ def _read_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
         yield exchange(name, with_input)
 
 
-def _cut_thermometer(bench: Bench, i: int) -> Iterator[Explanation]:
-    """Give the run without the rows in which its thermometer stands at an end."""
-    for ends, words in ((np.max, "highest"), (np.min, "lowest")):
-        value = float(ends([ends(c.run.temperature_degC) for c in bench.courses[i]]))
-        standing = _mark(bench, i, partial(_stand_thermometer, value))
-        if standing is None:
-            continue
-        courses, rows, count = standing
-        text = (
-            f"{count} rows stand at {value:.6g} degC, the {words} of this run; without them it "
-            "agrees with the others: the thermometer is cut off there. Look at its range, and "
-            "record the run again"
-        )
-        note = _note(bench, i, "temperature", "saturated", text, rows)
-        yield Explanation((note,), courses, fitted=True, seen=True)
+def _cut(bench: Bench, i: int, name: str, read: Callable[[Run], Array]) -> Iterator[Explanation]:
+    """Give the run without the rows in which a column stands at an end."""
+    for end in (np.max, np.min):
+        value = float(end([end(read(course.run)) for course in bench.courses[i]]))
+
+        def stand(run: Run, value: float = value) -> Mask:
+            return np.asarray(read(run) == value)
+
+        standing = _mark(bench, i, stand)
+        if standing is not None:
+            courses, rows, count = standing
+            text = (
+                f"{count} rows stand at {value:.6g}, the end of what it reads in this run; "
+                "without them it agrees with the others: it is cut off there. Look at its range, "
+                "and record the run again"
+            )
+            note = _note(bench, i, name, "saturated", text, rows)
+            yield Explanation((note,), courses, fitted=True, seen=True)
 
 
 def _mark(
@@ -299,14 +302,6 @@ def _exchange_outputs(bench: Bench, i: int, wrong: Sequence[int]) -> Iterator[Ex
 
 def _convert(change: Callable[[Array], Array], run: Run) -> Run:
     return _warm(run, change(run.temperature_degC))
-
-
-def _stand_thermometer(value: float, run: Run) -> Mask:
-    return np.asarray(run.temperature_degC == value)
-
-
-def _stand_output(value: float, k: int, run: Run) -> Mask:
-    return np.asarray(run.measured[:, k] == value)
 
 
 def _warm(run: Run, temperature_degC: Array) -> Run:
@@ -429,18 +424,7 @@ def _move_zero(bench: Bench, i: int, rest: frozenset[int], k: int) -> Iterator[E
 def _leave_out(bench: Bench, i: int, k: int) -> Iterator[Explanation]:
     """Give the run without rows of an output that stand at its limit, or spike."""
     name = bench.outputs[k]
-    for end in (np.max, np.min):
-        value = float(end([end(course.run.measured[:, k]) for course in bench.courses[i]]))
-        standing = _mark(bench, i, partial(_stand_output, value, k))
-        if standing is not None:
-            courses, rows, count = standing
-            text = (
-                f"{count} rows stand at {value:.6g}, the end of what the output reads in this run; "
-                "without them it agrees with the others: it is cut off there. Look at its range, "
-                "and record the run again"
-            )
-            note = _note(bench, i, name, "saturated", text, rows)
-            yield Explanation((note,), courses, fitted=True, seen=True)
+    yield from _cut(bench, i, name, lambda run: np.asarray(run.measured[:, k]))
     wild = _mark(bench, i, lambda r: _find_wild(r, k), SPIKES)
     if wild is not None:
         courses, rows, _ = wild

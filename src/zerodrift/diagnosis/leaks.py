@@ -64,16 +64,11 @@ def find_leaks(train: Sequence[Run], test: Sequence[Run], outputs: Sequence[str]
                 continue
             text, shift, k = told
             when = f"{abs(shift)} rows {'later' if shift >= 0 else 'earlier'}"
-            notes.append(
-                DataNote(
-                    run.group,
-                    outputs[k],
-                    (0, len(run) - 1),
-                    "leak",
-                    f"{text.format(other=other.group, when=when)}: "
-                    "the same recording, resampled or with noise added. Test with another run",
-                )
+            text = (
+                f"{text.format(other=other.group, when=when)}: "
+                "the same recording, resampled or with noise added. Test with another run"
             )
+            notes.append(DataNote(run.group, outputs[k], (0, len(run) - 1), "leak", text))
             break
     return notes
 

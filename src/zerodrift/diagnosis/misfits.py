@@ -185,17 +185,12 @@ def find_time_units(runs: Sequence[Run]) -> list[DataNote]:
         if (extreme and shorter > RATE) or (slow and shorter < 1.0 / RATE):
             factor = faster if extreme else 1.0 / faster
             unit = min((60.0, 1000.0, 3600.0), key=lambda u: abs(np.log(factor / u)))
-            notes.append(
-                DataNote(
-                    group,
-                    "time",
-                    (0, len(run) - 1),
-                    "time_unit",
-                    f"everything is about {unit:g} times {'faster' if extreme else 'slower'} than "
-                    "in the other runs: its time looks to be in another unit. State the unit of "
-                    "the time column, or convert the log",
-                )
+            text = (
+                f"everything is about {unit:g} times {'faster' if extreme else 'slower'} than "
+                "in the other runs: its time looks to be in another unit. State the unit of "
+                "the time column, or convert the log"
             )
+            notes.append(DataNote(group, "time", (0, len(run) - 1), "time_unit", text))
     return notes
 
 

@@ -29,7 +29,8 @@ from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
 from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing, find_wraps
 
 SEEN = ("saturated", "stuck", "foreign_column")
-"""What is seen in the column itself: it gives way to an exchange of columns alone."""
+"""What is seen in the column itself: it gives way to an exchange of columns, or to another unit of
+the temperature, and not to rows that are left out beside it."""
 OF_A_COLUMN = (
     *("gain", "sign", "offset_jump", "wrapped", "late_reference", "unit_change"),
     *SEEN,
@@ -116,8 +117,11 @@ def review(dataset: Dataset) -> tuple[DataNote, ...]:
     notes += find_time_units(runs)
     notes = _hold_together(notes, runs, dataset)
     told = {(note.run, note.column) for note in notes}
-    notes += [n for n in find_spikes(runs, outputs) if (n.run, n.column) not in told]
-    notes += _look_at_dwell(dataset)
+    dwell = _look_at_dwell(dataset)
+    told |= {(note.run, note.column) for note in dwell}
+    spikes = find_spikes((*runs, *dataset.dwell), outputs)
+    notes += [n for n in spikes if (n.run, n.column) not in told]
+    notes += dwell
     notes += _look_at_test(dataset, {note.run for note in notes})
     return tuple(notes)
 
@@ -200,7 +204,9 @@ def _look_again(own: list[DataNote], bench: Bench, i: int, rest: frozenset[int])
     found = weigh(bench, i, rest, now)
     is_seen = any(note.kind in SEEN for note in own)
     if found is not None:
-        whole = found.notes[0].column == "temperature" or found.notes[0].kind == "swapped"
+        whole = not found.seen and (
+            found.notes[0].column == "temperature" or found.notes[0].kind == "swapped"
+        )
         return own if is_seen and not whole else list(found.notes)
     columns = {note.column.removeprefix(OF_REFERENCE) for note in own}
     far = [name for name, doubt in zip(bench.outputs, now.doubt, strict=True) if doubt >= 1.0]
@@ -215,7 +221,7 @@ def _look_at_dwell(dataset: Dataset) -> list[DataNote]:
     That its thermometer stands still is what a dwell is for.
     """
     notes = []
-    for check in (find_sentinels, find_standing, find_breaks, find_spikes):
+    for check in (find_sentinels, find_standing, find_breaks):
         notes += [
             note
             for note in check(dataset.dwell, dataset.outputs)
@@ -236,28 +242,26 @@ def _look_at_test(dataset: Dataset, spoilt: set[str]) -> list[DataNote]:
         if run.group in spoilt:
             continue
         if run.part == 0 and len(run) < max(SHORT_ROWS, SHORT_SHARE * usual):
-            notes.append(
-                DataNote(
-                    run.group,
-                    "time",
-                    (0, len(run) - 1),
-                    "too_short",
-                    f"a test of {len(run)} rows says next to nothing about the error; training "
-                    f"runs have {usual:.0f}. Test with a longer log",
-                )
+            text = (
+                f"a test of {len(run)} rows says next to nothing about the error; training "
+                f"runs have {usual:.0f}. Test with a longer log"
             )
+            notes.append(DataNote(run.group, "time", (0, len(run) - 1), "too_short", text))
         t = run.temperature_degC
         beyond = np.flatnonzero((t < low - margin) | (t > high + margin))
         if beyond.size:
+            text = (
+                f"reaches {t.min():.1f} to {t.max():.1f} degC, the training logs {low:.1f} to "
+                f"{high:.1f} degC: what a model says beyond them is not known. Train on logs "
+                "that reach as far"
+            )
             notes.append(
                 DataNote(
                     run.group,
                     "temperature",
                     (int(beyond[0]), int(beyond[-1])),
                     "beyond_training",
-                    f"reaches {t.min():.1f} to {t.max():.1f} degC, the training logs {low:.1f} to "
-                    f"{high:.1f} degC: what a model says beyond them is not known. Train on logs "
-                    "that reach as far",
+                    text,
                 )
             )
     return notes

@@ -154,14 +154,13 @@ def _tell_late(one: _Followed, others: Sequence[_Followed], name: str) -> DataNo
         return None
     seconds = one.shift * one.run.sample_period_s
     words = "late" if seconds > 0.0 else "early"
-    return DataNote(
-        one.run.group,
-        f"reference of {name}",
-        (0, len(one.run) - 1),
-        "late_reference",
+    text = (
         f"is {abs(seconds):.4g} s {words} in this run: moved by that, its changes are those of the "
         f"output (correlation {one.best:.2f}, now {one.now:.2f}). Set the clocks right, or shift "
-        "the column",
+        "the column"
+    )
+    return DataNote(
+        one.run.group, f"reference of {name}", (0, len(one.run) - 1), "late_reference", text
     )
 
 
@@ -173,12 +172,11 @@ def _tell_missing(one: _Followed, others: Sequence[_Followed], name: str) -> Dat
     loads = float(np.median([f.fast_load for f in loaded]))
     if one.fast_drift < max(LOUDER * usual, LEAST * loads):
         return None
-    return DataNote(
-        one.run.group,
-        f"reference of {name}",
-        (0, len(one.run) - 1),
-        "missing_reference",
+    text = (
         "stands still, while the output changes "
         f"{one.fast_drift / max(usual, 1e-300):.0f} times as much from row to row as "
-        "drift does in the other runs: the load is not in the log. Log it, or leave the run out",
+        "drift does in the other runs: the load is not in the log. Log it, or leave the run out"
+    )
+    return DataNote(
+        one.run.group, f"reference of {name}", (0, len(one.run) - 1), "missing_reference", text
     )

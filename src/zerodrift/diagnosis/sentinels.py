@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.runs import Run
@@ -36,10 +37,11 @@ LEAST_OTHERS = 0.3
 """Share of the rows that must hold other values."""
 DISTINCT = 8
 """Fewer different values among the others are the codes of a coarse converter."""
-TIMES = 5.0
-"""An output's rows that spike hold more of the squares of its drift than all else does, and this
-many times the share that they hold in the other runs: fewer and smaller ones are what drift covers
-(`benchmarks.evidence`, the condition outliers_2). ..."""
+CHANCE = 0.01
+"""An output's rows that spike hold more of the squares of its drift than all else does: fewer and
+smaller ones are what drift covers (`benchmarks.evidence`, the condition outliers_2). Of the rows
+that spike in all logs, chance brings so many into this run with this probability at most, and no
+other run has as large a share of them. ..."""
 HIGH = 20.0
 """... They are single rows that stand out of both neighbours by so many usual steps."""
 HEIGHT_K, STEPS = 5.0, 30.0
@@ -120,8 +122,13 @@ def _list_candidates(x: Array) -> list[float]:
 def _is_sentinel(
     x: Array, beside: Array | None, rows: Mask, others: Mask, elsewhere: Sequence[Array]
 ) -> bool:
-    """Return whether some rows [n], all of one value, jump away from all others and back."""
+    """Return whether some rows [n], all of one value, jump away from all others and back.
+
+    The row next to one may be interpolated between it and its neighbour, where a log is resampled:
+    it is passed over.
+    """
     count = int(rows.sum())
+    others = others & (np.convolve(rows, [1, 0, 1], "same") == 0)
     if count < RECURS or int(others.sum()) < max(LEAST_OTHERS * x.size, 2 * DISTINCT):
         return False
     kept = np.flatnonzero(others)
@@ -129,14 +136,13 @@ def _is_sentinel(
     usual = np.abs(np.diff(level[kept]))
     if np.unique(x[kept]).size < DISTINCT:
         return False
-    edges = np.flatnonzero(rows[1:] != rows[:-1])
-    edges = edges[(rows | others)[edges] & (rows | others)[edges + 1]]
-    if edges.size == 0:
+    both = (rows[:-2] & others[2:]) | (others[:-2] & rows[2:])
+    if not both.any():
         return False
-    across, apart_from = np.abs(np.diff(x))[edges], np.abs(np.diff(level))[edges]
+    across, apart_from = np.abs(x[2:] - x[:-2])[both], np.abs(level[2:] - level[:-2])[both]
     if float(np.median(apart_from / np.maximum(across, 1e-300))) < ALONE:
         return False
-    jumps = np.minimum(across, apart_from)
+    jumps = np.minimum(across, apart_from)  # of two rows, one of which is ordinary
     # A column that rests most of the time still moves by its usual step.
     ordinary = max(float(np.quantile(usual, ORDINARY)), float(np.median(usual[usual > 0.0])))
     value = float(x[rows][0])
@@ -151,7 +157,7 @@ def _is_sentinel(
             return False
     among = low < value < high
     return bool(
-        np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > FAR * ordinary
+        np.quantile(jumps, 1.0 - MOST_EDGES, method="lower") > (FAR + 1.0) * ordinary
         and (among or apart > FAR * ordinary)
     )
 
@@ -162,18 +168,15 @@ def _tell(run: Run, name: str, found: Sequence[tuple[float, Mask]]) -> DataNote 
     every = np.flatnonzero(np.logical_or.reduce([rows for _, rows in found]))
     values = ", ".join(f"{value:.6g} in {int(rows.sum())}" for value, rows in found)
     stated = ", ".join(f"{value:.6g}" for value, _ in found)
-    return DataNote(
-        run.group,
-        name,
-        (int(every[0]), int(every[-1])),
-        "sentinel",
+    text = (
         f"holds {values} of {len(run)} rows, far off from all others and exactly the same: the "
-        f"recorder had no reading there. State it: [logs] missing = [{stated}]",
+        f"recorder had no reading there. State it: [logs] missing = [{stated}]"
     )
+    return DataNote(run.group, name, (int(every[0]), int(every[-1])), "sentinel", text)
 
 
 def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
-    """Return notes on runs with far more rows that spike than the other runs have."""
+    """Return notes on runs with more rows that spike than chance brings there from all runs."""
     notes = []
     for run in runs:
         usual = float(np.median(np.abs(np.diff(run.temperature_degC))))
@@ -181,24 +184,29 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         if rows.size >= FEWEST_SPIKES:
             notes.append(_tell_spikes(run, "temperature", rows, run.temperature_degC))
     for k, name in enumerate(outputs):
-        found = [_list_drift_peaks(run.drift[:, k]) for run in runs]
+        found = [_list_drift_peaks(run.drift[:, k], float(run.resolution[k])) for run in runs]
         shares = _share_peaks(runs, k, found)
-        for group, share in shares.items():
-            others = [shares[other] for other in shares if other != group]
-            usual = float(np.median(others)) if others else 0.0
-            mine = [i for i, run in enumerate(runs) if run.group == group]
-            count = sum(found[i].size for i in mine)
-            if count >= FEWEST_SPIKES and share > max(1.0, TIMES * usual):
+        counts = {group: np.zeros(2) for group in shares}
+        for run, rows in zip(runs, found, strict=True):
+            counts[run.group] += (rows.size, len(run))
+        total, every = np.sum(list(counts.values()), axis=0) if counts else (0.0, 1.0)
+        for group, (count, length) in counts.items():
+            rates = [spikes / rows for other, (spikes, rows) in counts.items() if other != group]
+            by_chance = float(binom.sf(count - 1, total, length / every))
+            # With no other log nothing says what is usual.
+            stands_out = not rates or (count / length > max(rates) and by_chance <= CHANCE)
+            if count >= FEWEST_SPIKES and shares[group] > 1.0 and stands_out:
+                mine = [i for i, run in enumerate(runs) if run.group == group]
                 i = max(mine, key=lambda i: found[i].size)
                 notes.append(_tell_spikes(runs[i], name, found[i], runs[i].measured[:, k]))
     return notes
 
 
-def _list_drift_peaks(drift: Array) -> NDArray[np.intp]:
+def _list_drift_peaks(drift: Array, resolution: float) -> NDArray[np.intp]:
     steps = np.abs(np.diff(drift))
-    # A coarse converter at rest still moves by its usual step.
+    # A coarse converter at rest still moves by its step, beside a reference that is finer.
     usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
-    return _list_peaks(drift, HIGH * usual)
+    return _list_peaks(drift, HIGH * max(usual, resolution))
 
 
 def _share_peaks(

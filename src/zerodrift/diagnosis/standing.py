@@ -8,6 +8,7 @@ import numpy as np
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.outliers import find_jumps
 from zerodrift.dataset.runs import Run
+from zerodrift.diagnosis.agreement import lag
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.physics.rails import FEWEST_VISITS, find_rails
 
@@ -19,11 +20,11 @@ LONGER = 6.0
 """... and how many times longer than anything else in that column stands."""
 LEAVES = 8.0
 """What stood still for a fault goes on elsewhere: so many usual steps away."""
-INWARDS, EXPECTED_INWARDS = 4.0, 0.1
-"""Usual errors of what is expected of an output by which it is no limit that holds it, and the
-share of a stand's rows where it is so."""
+ELSEWHERE, SHARE_ELSEWHERE = 4.0, 0.1
+"""Usual errors by which an output is not where it is expected, and the share of a stand's rows in
+which it is so."""
 ARM = 20
-"""Samples on either side of a jump through which straight lines are laid."""
+"""Samples on either side of a jump through which straight lines are laid, and at a stand's ends."""
 JUMP = 10.0
 """The lines miss each other by this many times the noise, ..."""
 SHARPER = 2.5
@@ -68,16 +69,11 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
         moving = [float(np.ptp(x)) > 0.0 for x in columns]
         for run, x, moves in zip(runs, columns, moving, strict=True):
             if not moves and thermometer and len(run) >= FEWEST_STANDING:
-                notes.append(
-                    DataNote(
-                        run.group,
-                        name,
-                        (0, len(run) - 1),
-                        "constant",
-                        f"the thermometer reads {x[0]:.4g} degC in all {len(run)} rows; expected "
-                        "a temperature that moves. Is it connected, and is this its column?",
-                    )
+                text = (
+                    f"the thermometer reads {x[0]:.4g} degC in all {len(run)} rows; expected "
+                    "a temperature that moves. Is it connected, and is this its column?"
                 )
+                notes.append(DataNote(run.group, name, (0, len(run) - 1), "constant", text))
         stands = [
             stand
             for run, x, moves in zip(runs, columns, moving, strict=True)
@@ -100,7 +96,8 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             x = columns[[run is stand.run for run in runs].index(True)]
             held = _ends_in_jump(stand, x) if thermometer else _is_held(stand, x, k)
             at_limit = stand.value in (x.max(), x.min()) and not held
-            if at_limit and not _is_passed(stand, runs, columns):
+            rests = thermometer and not _goes_on(stand, x)
+            if at_limit and (rests or not _is_passed(stand, x, runs, columns)):
                 continue
             told += not at_limit
             if told > max(1, round(FEW_RUNS * len(runs))):
@@ -109,9 +106,8 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
     return list({(note.run, note.column): note for note in reversed(notes)}.values())
 
 
-def _is_passed(stand: _Stand, runs: Sequence[Run], columns: Sequence[Array]) -> bool:
+def _is_passed(stand: _Stand, own: Array, runs: Sequence[Run], columns: Sequence[Array]) -> bool:
     """Return whether other runs pass a limit; where none does it may be the sensor's own."""
-    own = columns[[run is stand.run for run in runs].index(True)]
     others = [x for run, x in zip(runs, columns, strict=True) if run.group != stand.run.group]
     margin = BEYOND_RAIL * float(np.ptp(own))
     high = stand.value == own.max()
@@ -134,19 +130,43 @@ def _ends_in_jump(stand: _Stand, x: Array) -> bool:
 def _is_held(stand: _Stand, x: Array, k: int) -> bool:
     """Return whether an output stands where load and temperature lead to expect it elsewhere.
 
-    At a limit it is expected there or beyond. What is expected is the load and, of the drift, a
-    straight line of the temperature through the run's other rows.
+    At a limit it is expected there or beyond.
+    """
+    away = _weigh_stand(stand, x, k) * (1.0 if stand.value == x.max() else -1.0)
+    return bool(np.mean(away > ELSEWHERE) > SHARE_ELSEWHERE)
+
+
+def _goes_on(stand: _Stand, x: Array) -> bool:
+    """Return whether an output drifts away from the ends of a thermometer's stand, to one side.
+
+    It does where the temperature goes on beyond a limit of the thermometer, and rests where an oven
+    holds it. An end of the log is no end of the stand.
+    """
+    met = [stand.first > 0, stand.last + 1 < x.size]
+    for k in range(stand.run.measured.shape[1]):
+        away = _weigh_stand(stand, x, k)
+        ends = np.array([[0, away[:ARM].mean()], [away.size - 1, away[-ARM:].mean()]])[met]
+        away = away - np.interp(np.arange(away.size), *ends.T)
+        if max(np.mean(away > ELSEWHERE), np.mean(away < -ELSEWHERE)) > SHARE_ELSEWHERE:
+            return True
+    return False
+
+
+def _weigh_stand(stand: _Stand, x: Array, k: int) -> Array:
+    """Return how far output k is in a stand's rows from what is expected, in usual errors, [m].
+
+    What is expected is the load and, of the drift, a straight line of the temperature and of its
+    lags through the run's other rows.
     """
     run = stand.run
-    warm = run.temperature_degC
-    basis = np.stack([np.ones(x.size), warm - warm.mean()], axis=1)
+    warm = run.temperature_degC - run.temperature_degC.mean()
+    basis = np.stack([np.ones(x.size), warm, *lag(warm, run.sample_period_s)], axis=1)
     others = x != stand.value
-    drift = x - run.reference[:, k]
+    drift = run.drift[:, k]
     factors = np.linalg.lstsq(basis[others], drift[others], rcond=None)[0]
     left = drift - basis @ factors
     usual = 1.4826 * float(np.median(np.abs(left[others] - np.median(left[others]))))
-    within = left[stand.first : stand.last + 1] * (1.0 if stand.value == x.max() else -1.0)
-    return bool(np.mean(within > INWARDS * usual) > EXPECTED_INWARDS)
+    return np.asarray(left[stand.first : stand.last + 1] / max(usual, 1e-300))
 
 
 def _tell_stand(
@@ -155,24 +175,18 @@ def _tell_stand(
     what = "the thermometer" if thermometer else "the output"
     rows = (stand.first, stand.last)
     if at_limit:
-        return DataNote(
-            stand.run.group,
-            name,
-            rows,
-            "saturated",
+        text = (
             f"{what} stands at {stand.value:.6g}, the end of what it reads in this run, for "
             f"{stand.length} rows, at other values at most for {usual}: it is cut off there. Look "
-            "at its range, and record the run again",
+            "at its range, and record the run again"
         )
-    return DataNote(
-        stand.run.group,
-        name,
-        rows,
-        "frozen" if thermometer else "stuck",
+        return DataNote(stand.run.group, name, rows, "saturated", text)
+    text = (
         f"{what} repeats one value {stand.length} times, elsewhere at most {usual} times: it "
         "stopped reporting. Leave these rows out ([logs] train takes file@from:to), or record the "
-        "run again",
+        "run again"
     )
+    return DataNote(stand.run.group, name, rows, "frozen" if thermometer else "stuck", text)
 
 
 def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
@@ -181,6 +195,7 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     if len({run.source for run in runs}) < 2:
         return notes
     for k, name in enumerate(outputs):
+        found = []
         for run in runs:
             x = run.measured[:, k]
             flags = find_rails(x, run.reference[:, k])
@@ -203,17 +218,16 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             load = run.reference[:, k]
             at_rest = float(np.ptp(load)) > 0.0 and float(np.ptp(load[rows])) <= margin
             if passed and not (at_rest and rows.size < FEWEST_VISITS):
-                notes.append(
-                    DataNote(
-                        run.group,
-                        name,
-                        (int(rows[0]), int(rows[-1])),
-                        "saturated",
-                        f"{rows.size} samples stand at {level:.6g}, which other runs pass: the "
-                        "output was cut off in this run alone. Look at the amplifier's range in "
-                        "that recording, or leave the run out",
-                    )
+                text = (
+                    f"{rows.size} samples stand at {level:.6g}, which other runs pass: the "
+                    "output was cut off in this run alone. Look at the amplifier's range in "
+                    "that recording, or leave the run out"
                 )
+                found.append(
+                    DataNote(run.group, name, (int(rows[0]), int(rows[-1])), "saturated", text)
+                )
+        # An amplifier has one range: what stands at several levels is not at its end.
+        notes += found if len({note.run for note in found}) == 1 else []
     return notes
 
 
@@ -272,26 +286,20 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     # an output by less than its range.
     if size < WHOLE_RANGE * float(np.ptp(run.measured[:, k])):
         return None
-    return DataNote(
-        run.group,
-        name,
-        (int(rows[0]), int(rows[-1])),
-        "wrapped",
+    text = (
         f"jumps up and down by {size:.6g} with no cause in the logs: a counter that wraps. Unwrap "
-        "it before logging, or leave these rows out",
+        "it before logging, or leave these rows out"
     )
+    return DataNote(run.group, name, (int(rows[0]), int(rows[-1])), "wrapped", text)
 
 
 def _tell_leaps(run: Run, name: str, leaps: Sequence[tuple[int, float]]) -> DataNote:
     row, size = max(leaps, key=lambda leap: abs(leap[1]))
-    return DataNote(
-        run.group,
-        name,
-        (row, len(run) - 1),
-        "offset_jump",
+    text = (
         f"the zero jumps by {size:.4g} at row {row} and stays there, with no cause in the logs: "
-        "re-zeroed or disturbed in mid-run. Split the run there (file@from:to)",
+        "re-zeroed or disturbed in mid-run. Split the run there (file@from:to)"
     )
+    return DataNote(run.group, name, (row, len(run) - 1), "offset_jump", text)
 
 
 def list_leaps(run: Run, k: int) -> list[tuple[int, float]]:

@@ -8,7 +8,7 @@ than rounding explains, or, over all rows, than no compensation. What fails is n
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtr
@@ -651,17 +651,12 @@ def _judge_by_float(
     budget = float(replay.budget[k])
     if own**2 <= (1.0 + WORSE_THAN_FLOAT) * (floating**2 + budget**2):
         return []
-    return [
-        Statement(
-            kind="worse_than_float",
-            output=name,
-            text=(
-                f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g}"
-                f" {unit} RMS, the float model by {floating:.3g} {unit}; rounding is budgeted"
-                f" with {budget:.2g} {unit}. {_name_cause(split, name, unit, replay)}"
-            ),
-        )
-    ]
+    text = (
+        f"{name}: on rows inside the calibrated ranges the chip errs by {own:.3g} {unit} RMS, the"
+        f" float model by {floating:.3g} {unit}; rounding is budgeted with {budget:.2g} {unit}."
+        f" {_name_cause(split, k, unit, replay)}"
+    )
+    return [Statement(kind="worse_than_float", output=name, text=text)]
 
 
 def _judge_all(
@@ -687,13 +682,10 @@ def _judge_all(
     ]
 
 
-def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> str:
+def _name_cause(split: ChipError, k: int, unit: str, replay: ChipReplay) -> str:
     """Return what the largest part of the difference is, and what to do about it."""
-    parts = asdict(split)
-    parts.pop("out_of_range")
-    worst = max(parts, key=lambda part: parts[part])
-    k = [output.name for output in replay.model.outputs].index(name)
-    output = replay.model.outputs[k]
+    worst = max(("rounding", "clamped", "saturated"), key=lambda part: getattr(split, part))
+    output, drift = replay.model.outputs[k], replay.model.drift
     if worst == "rounding":
         if 1.0 / output.lsb_per_unit > replay.budget[k]:
             return (
@@ -702,10 +694,16 @@ def _name_cause(split: ChipError, name: str, unit: str, replay: ChipReplay) -> s
             )
         return f"Rounding costs {split.rounding:.2g} {unit}: use 16-bit weights, or fewer effects."
     if worst == "clamped":
-        return (
-            f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): the training"
-            " runs drift less than these."
-        )
+        low, high = (ends[k] / output.lsb_per_unit for ends in (drift.low, drift.high))
+        answers = np.concatenate([r.floating[r.clamped[:, k], k] for r in replay.runs])
+        cause = "the training runs drift less than these"
+        if replay.model.feeds_back and np.mean((low < answers) & (answers < high)) > 0.5:
+            cause = (
+                "the float model's answers lie within it. The chip takes a load for what it"
+                " measured less its own last answer, and is caught in that loop: the coefficients"
+                " on loads are too large. Leave out an effect of them, or record loads that differ"
+            )
+        return f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): {cause}."
     ends = [
         f"{channel.name} from {find_held(channel)[0]:g} to {find_held(channel)[1]:g} {channel.unit}"
         for i, channel in enumerate(replay.model.channels)
