@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import beta
 
 from zerodrift.base.arrays import Array
-from zerodrift.dataset.copies import LEAST_ROWS, SharedRows, confirm, find_alignments, mark_run
+from zerodrift.dataset.shared_rows import LEAST_ROWS, SharedRows, confirm, find_alignments, mark_run
 from zerodrift_lab.twin import Recipe, simulate
 
 SEEDS = 20

@@ -11,10 +11,10 @@ from tests.projects import FORCE, render_toml
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.dataset.copies import LEAST_NOISE_STEPS, measure_white_noise
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.resolution import measure_step
 from zerodrift.dataset.runs import Dataset
+from zerodrift.dataset.shared_rows import LEAST_NOISE_STEPS, measure_white_noise
 
 HEADER = "time_s,temperature_degC,Fz_N,ref_Fz_N"
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from zerodrift.dataset import copies, read_runs
-from zerodrift.dataset.copies import Alignment, confirm
-from zerodrift.dataset.read_runs import ReadRun, ReadRuns
+from zerodrift.dataset import shared_rows
 from zerodrift.dataset.resolution import find_steps
+from zerodrift.dataset.shared_rows import Alignment, ReadRun, ReadRuns, confirm
 
 ROWS = 4000
 
@@ -62,12 +61,12 @@ def test_the_cost_of_alignments_by_chance_does_not_grow_with_their_number(
         measured.append(values.size)
         return find_steps(values)
 
-    monkeypatch.setattr(read_runs, "find_steps", count)
+    monkeypatch.setattr(shared_rows, "find_steps", count)
     by_chance = [
         Alignment(one, other, offset, 700, 50.0)
         for one in range(4)
         for other in range(one + 1, 4)
-        for offset in range(-600, -600 + copies.MOST_ALIGNMENTS - 1)
+        for offset in range(-600, -600 + shared_rows.MOST_ALIGNMENTS - 1)
     ]
     found = confirm([*by_chance, Alignment(0, 3, 400, 200, 90.0)], lambda number: runs[number])
     assert [(each.row, each.other_row, each.rows) for each in found.pop((0, 3))] == [

@@ -8,14 +8,13 @@ import pytest
 from tests.physics.conftest import NOISE, SLOPE, follow, make_dataset
 
 from zerodrift.diagnosis.agreement import HARM, Bench
-from zerodrift.diagnosis.breaks import find_gain_change
 from zerodrift.diagnosis.data_notes import INFORMS, KINDS
 from zerodrift.diagnosis.explanations import find_reading
 from zerodrift.diagnosis.leaks import find_leaks
-from zerodrift.diagnosis.noise_gains import find_noise_gains
+from zerodrift.diagnosis.misfits import find_noise_gains
 from zerodrift.diagnosis.referee import review
 from zerodrift.diagnosis.sentinels import find_spikes, list_sentinels
-from zerodrift.diagnosis.standing import find_cut_off, find_standing, find_wraps
+from zerodrift.diagnosis.standing import find_cut_off, find_gain_change, find_standing, find_wraps
 from zerodrift.physics.rails import find_rails
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "wrong-data.md"

@@ -11,7 +11,6 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import DWELL, TEST, TRAIN, USES, Config, locate_key
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import check_period, guess_temperature_unit, locate_row
-from zerodrift.dataset.naming import RunKey, name_runs, refuse_overlaps
 from zerodrift.dataset.oddities import find_oddities
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.runs import Dataset, Run, share_resolution
@@ -24,7 +23,14 @@ from zerodrift.dataset.sampling import (
     plan_stretches,
 )
 from zerodrift.dataset.selectors import Selection, expand_selectors, order_path
-from zerodrift.dataset.shared_rows import KnownRun, Repeats, find_repeats
+from zerodrift.dataset.shared_rows import (
+    KnownRun,
+    Repeats,
+    RunKey,
+    find_repeats,
+    name_runs,
+    refuse_overlaps,
+)
 from zerodrift.dataset.tables import LogTable, label_log
 from zerodrift.dataset.units import are_alike, read_time_unit, read_unit, refuse_unit, tell_time
 

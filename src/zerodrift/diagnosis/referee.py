@@ -13,7 +13,6 @@ from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.remember import remember_last
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.agreement import FEWEST_ROWS, FEWEST_RUNS, Bench
-from zerodrift.diagnosis.breaks import find_breaks, find_unit_changes
 from zerodrift.diagnosis.data_notes import DataNote, name_columns
 from zerodrift.diagnosis.explanations import explain, find_reading, find_units, tell_other, weigh
 from zerodrift.diagnosis.leaks import find_leaks
@@ -21,12 +20,19 @@ from zerodrift.diagnosis.misfits import (
     find_copies,
     find_load_columns,
     find_load_gains,
+    find_noise_gains,
+    find_reference_faults,
     find_time_units,
 )
-from zerodrift.diagnosis.noise_gains import find_noise_gains
-from zerodrift.diagnosis.references import find_reference_faults
 from zerodrift.diagnosis.sentinels import find_sentinels, find_spikes
-from zerodrift.diagnosis.standing import find_cut_off, find_leaps, find_standing, find_wraps
+from zerodrift.diagnosis.standing import (
+    find_breaks,
+    find_cut_off,
+    find_leaps,
+    find_standing,
+    find_unit_changes,
+    find_wraps,
+)
 
 SEEN = ("saturated", "stuck", "foreign_column")
 """What is seen in the column itself: it gives way to an exchange of columns, or to another unit of

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from zerodrift.base.arrays import Array
-from zerodrift.dataset.copies import measure_white_noise
 from zerodrift.dataset.runs import Run
+from zerodrift.dataset.shared_rows import measure_white_noise
 from zerodrift.physics.terms import Term
 
 ABOVE_NOISE = 3.0
