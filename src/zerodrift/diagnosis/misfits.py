@@ -345,11 +345,7 @@ def _find_shift(m: Array, r: Array) -> tuple[int, float, float]:
 
 def _tell_late(one: _Followed, others: Sequence[_Followed], name: str) -> DataNote | None:
     known = [f.shift for f in others if f.moves and f.best >= FOLLOWS_LOAD]
-    if (
-        not one.moves
-        or not known
-        or one.best < max(FOLLOWS_LOAD, SURE / np.sqrt(len(one.run)))
-    ):
+    if not one.moves or not known or one.best < max(FOLLOWS_LOAD, SURE / np.sqrt(len(one.run))):
         return None
     away = min(abs(one.shift - shift) for shift in known)
     if away < LATE or one.now**2 > BETTER * one.best**2:

@@ -104,14 +104,14 @@ def find_break(x: Array, elsewhere: float = 0.0) -> ColumnBreak | None:
         return None
     steps = np.abs(np.diff(x))
     row = int(steps.argmax()) + 1
-    if not SIDE <= row <= x.size - ARM_breaks:
+    if not SIDE <= row <= x.size - SIDE:
         return None
     rest = np.delete(steps, row - 1)
     step = float(steps[row - 1])
     if step <= LARGEST * max(float(rest.max()), elsewhere):
         return None
     before, after = (
-        _reach(x[row - SIDE : row], ARM_breaks),
+        _reach(x[row - SIDE : row], SIDE),
         _reach(x[row : row + SIDE], -1),
     )
     usual = float(np.median(steps)) + float(np.std(np.diff(x[row - SIDE : row])))
@@ -197,7 +197,7 @@ def find_gain_change(x: Array) -> tuple[float, int]:
     sums = np.cumsum(loud)[:-1]
     ahead, behind = sums / counts, (loud.sum() - sums) / (n - counts)
     clear = np.abs(behind - ahead) * np.sqrt(counts * (n - counts) / n)
-    clear[: 2 * SIDE] = clear[-2 * ARM_breaks :] = 0.0
+    clear[: 2 * SIDE] = clear[-2 * SIDE :] = 0.0
     best = int(clear.argmax())
     change = float(behind[best] - ahead[best])
     spread = float(
@@ -208,10 +208,10 @@ def find_gain_change(x: Array) -> tuple[float, int]:
     near = int(places[best]) + 1
     window = np.arange(max(near - 3, 1), min(near + 4, x.size))
     row = int(window[np.abs(np.diff(x))[window - 1].argmax()])
-    if not SIDE <= row <= x.size - ARM_breaks:
+    if not SIDE <= row <= x.size - SIDE:
         return 1.0, 0
     before, after = (
-        _reach(x[row - SIDE : row], ARM_breaks),
+        _reach(x[row - SIDE : row], SIDE),
         _reach(x[row : row + SIDE], -1),
     )
     noise = float(np.median(second[max(row - 10 * SIDE, 0) : row - 2]))
