@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.diagnosis.thermometers import list_thermometers
+from zerodrift.diagnosis.drivers import list_thermometers
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import TARE_RATIO, fit

@@ -14,7 +14,7 @@ from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.progress import Stage
 from zerodrift.dataset.chip_codes import refuse_unsayable
 from zerodrift.dataset.runs import Dataset, Run, join_stretches
-from zerodrift.diagnosis.thermometers import list_thermometers
+from zerodrift.diagnosis.drivers import list_thermometers
 from zerodrift.operations.dense import FloatDense, FloatFeedForward
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel

@@ -25,7 +25,7 @@ from benchmarks.bench_copies import bound as bound_rate
 from benchmarks.object_oracle import KernelChip, draw_given
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.generate import generate
-from zerodrift.verify.proof import build_program
+from zerodrift.tasks.verify import build_program
 from zerodrift_proof import read_model
 from zerodrift_proof.equality.kernels import Numbered
 from zerodrift_proof.equality.specification import Specification

@@ -18,9 +18,8 @@ from zerodrift.blocks.editions import (
     read_edition,
     render_units,
 )
-from zerodrift.field.editions import find_editions
 from zerodrift.field.registry import FILE_NAME as REGISTRY
-from zerodrift.field.registry import open_registry
+from zerodrift.field.registry import find_editions, open_registry
 
 MARCH, APRIL = (BlockConfig("block", calibrated=date(2026, m, 1)) for m in (3, 4))
 NONE = BlockConfig("block")

@@ -68,9 +68,9 @@ def fleet(fresh_fleet: Path, tmp_path: Path) -> Path:
 def done_fleet(fresh_fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the fleet after a run in this process; not to be changed."""
     from zerodrift.base.config import load_config
-    from zerodrift.fleet.design import Design
     from zerodrift.fleet.report import judge_fleet, write_report
     from zerodrift.fleet.run import Serial, run_fleet
+    from zerodrift.fleet.sensors import Design
 
     project = Path(shutil.copytree(fresh_fleet, tmp_path_factory.mktemp("done") / "project"))
     design = Design(load_config(project))

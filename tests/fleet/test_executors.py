@@ -8,8 +8,8 @@ import pytest
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.run import OverRay, Serial, run_fleet
+from zerodrift.fleet.sensors import Design
 
 
 class RayError(Exception):

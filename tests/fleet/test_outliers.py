@@ -12,7 +12,6 @@ from tests.fleet.conftest import TOML
 
 from zerodrift.base.config import parse_config
 from zerodrift.base.records import to_dict
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import find_outliers
 from zerodrift.fleet.report import (
     ERROR,
@@ -31,6 +30,7 @@ from zerodrift.fleet.result import (
     load_result,
     save_result,
 )
+from zerodrift.fleet.sensors import Design
 
 
 def make_result(

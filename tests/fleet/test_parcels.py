@@ -10,10 +10,10 @@ from tests.fleet.hidden_ray import HiddenRay, RayError
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import CheckError
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.parcels import Sealed
 from zerodrift.fleet.report import judge_fleet, write_report
 from zerodrift.fleet.run import OverRay, Serial, run_fleet
+from zerodrift.fleet.sensors import Design
 
 CLUSTER = "host:6379"
 

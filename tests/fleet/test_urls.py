@@ -15,9 +15,8 @@ from tests.fleet.hidden_ray import HiddenRay
 
 from zerodrift.base.config import load_config
 from zerodrift.base.errors import InputError
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.run import OverRay, Serial, run_fleet
-from zerodrift.fleet.sensors import fetch
+from zerodrift.fleet.sensors import Design, fetch
 
 fsspec = pytest.importorskip("fsspec")
 FOLDER = '"fleet/{sensor}"'

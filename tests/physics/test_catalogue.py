@@ -12,9 +12,8 @@ from zerodrift.diagnosis.case import open_case
 from zerodrift.diagnosis.diagnose import diagnose
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.physics.catalogue import load_catalogue, register
-from zerodrift.physics.effect import Effect, Feature, Parameter, Signals
+from zerodrift.physics.effect import READING_ORDER, Effect, Feature, Parameter, Signals, registered
 from zerodrift.physics.fit import fit
-from zerodrift.physics.registry import READING_ORDER, registered
 from zerodrift.physics.terms import build_features, start_term
 
 LAG = "thermal_lag"

@@ -9,7 +9,7 @@ from tests.projects import render_toml
 
 from zerodrift.base.errors import InputError
 from zerodrift.cli.main import cli
-from zerodrift.physics.registry import READING_ORDER
+from zerodrift.physics.effect import READING_ORDER
 
 TOML = render_toml(
     """\

@@ -19,8 +19,8 @@ from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.c_runtime.footprint import list_symbols
 from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import ErrorBound
+from zerodrift.tasks.verify import build_program
 from zerodrift.verify.certificate import certify
-from zerodrift.verify.proof import build_program
 from zerodrift_proof.command import MissingError, load_model, main
 from zerodrift_proof.object.image import CPU_ARCH, FUNCTION, UNALIGNED_ACCESS, ElfError, read_elf
 from zerodrift_proof.object.program import BUILDS

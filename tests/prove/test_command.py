@@ -12,7 +12,7 @@ from zerodrift.base.errors import InputError
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.cli.main import cli
 from zerodrift.codegen.generate import generate
-from zerodrift.verify.proof import build_program
+from zerodrift.tasks.verify import build_program
 from zerodrift_proof.object.program import BUILDS
 
 CONFIG = """\

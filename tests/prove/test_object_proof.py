@@ -13,7 +13,7 @@ from tests.golden.vectors import load
 from tests.prove.models import as_read
 from tests.prove.test_proof import write
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers
-from zerodrift.verify.proof import PROGRAM, build_program, prove_model
+from zerodrift.tasks.verify import PROGRAM, build_program, prove_model
 from zerodrift_proof.equality.build import PROVEN, TESTED
 from zerodrift_proof.equality.kernels import Layers
 from zerodrift_proof.equality.specification import Specification

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from zerodrift.train.attempts import Problem
-from zerodrift.train.engine import Result
-from zerodrift.train.epochs import draw_seed, one_cycle
+from zerodrift.train.engine import Result, draw_seed, one_cycle
 from zerodrift.train.networks import FeedForwardNetwork, GruNetwork, MlpNetwork, Network
 from zerodrift.train.sequences import Sequence32
 

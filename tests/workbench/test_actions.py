@@ -11,7 +11,7 @@ from tests.report.test_verdict import told
 from zerodrift.base.errors import InputError
 from zerodrift.diagnosis.changes import AddCommand
 from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
-from zerodrift.diagnosis.thermometers import OtherThermometer
+from zerodrift.diagnosis.drivers import OtherThermometer
 from zerodrift.workbench import server
 
 SETTINGS = ("--set", "signal=body_temperature", "--set", "x=a b")

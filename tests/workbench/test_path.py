@@ -9,8 +9,8 @@ from tests.report.test_verdict import rate, told, wrong
 
 from zerodrift.diagnosis.changes import AddCommand
 from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
+from zerodrift.diagnosis.drivers import OtherThermometer
 from zerodrift.diagnosis.history import EffectSettings, Step, Timeline, find_timeline
-from zerodrift.diagnosis.thermometers import OtherThermometer
 from zerodrift.workbench.path import ProjectStanding, find_path
 from zerodrift.workbench.views import find_job
 

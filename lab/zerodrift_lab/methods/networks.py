@@ -10,7 +10,7 @@ import torch
 from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
-from zerodrift.train.epochs import GRADIENT_LIMIT, one_cycle
+from zerodrift.train.engine import GRADIENT_LIMIT, one_cycle
 from zerodrift.train.networks import (
     FeedForwardNetwork,
     GruNetwork,

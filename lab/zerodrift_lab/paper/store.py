@@ -30,7 +30,7 @@ NETWORK = (
     "zerodrift_lab/methods/windows.py",
     "zerodrift_lab/methods/networks.py",
     "zerodrift/train/networks.py",
-    "zerodrift/train/epochs.py",
+    "zerodrift/train/engine.py",
     "zerodrift/train/recurrence.py",
 )
 PHYSICS = tuple(

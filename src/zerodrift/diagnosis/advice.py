@@ -20,6 +20,7 @@ from zerodrift.base.config import (
     NetworkConfig,
 )
 from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.drivers import list_thermometers
 from zerodrift.diagnosis.memory import MemoryTable, TimeConstant, find_time_constants
 from zerodrift.diagnosis.summary import (
     AdviceSummary,
@@ -27,7 +28,6 @@ from zerodrift.diagnosis.summary import (
     ProtocolSummary,
     TimeConstantSummary,
 )
-from zerodrift.diagnosis.thermometers import list_thermometers
 from zerodrift.physics.live import find_live
 
 # Whether all runs were heated the same way, as far as thermometer and drift show.

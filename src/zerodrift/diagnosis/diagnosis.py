@@ -8,8 +8,8 @@ from zerodrift.dataset.runs import OutlierCount
 from zerodrift.diagnosis.candidates import Untested
 from zerodrift.diagnosis.changes import AddCommand
 from zerodrift.diagnosis.data_notes import DataNote
+from zerodrift.diagnosis.drivers import OtherThermometer
 from zerodrift.diagnosis.remainder import RemainderPattern
-from zerodrift.diagnosis.thermometers import OtherThermometer
 
 SURE = 0.99
 """A higher probability is told as higher than this, one below 1 - SURE likewise."""

@@ -6,7 +6,7 @@ events, of which none is changed. Other programs read it with any SQLite client 
 
 import hashlib
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.files import write_new
-from zerodrift.blocks.editions import read_edition
+from zerodrift.blocks.editions import Edition, load_units, read_edition
 
 # The registry's file: one SQLite file in write-ahead mode, its tables, and what it refuses.
 
@@ -596,3 +596,40 @@ def _add_logs(
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="microseconds")
+
+
+# Which editions of units' blocks are known: by units.json, the registry, and the blocks there.
+
+Editions = Mapping[str, tuple[Edition, ...]]
+"""Serial number -> editions of its blocks."""
+
+
+def find_editions(directory: Path, files: Iterable[Path]) -> Editions:
+    """Return the editions of all units that a project knows.
+
+    Args:
+        directory: of the project.
+        files: of blocks in its firmware's folder; one that is missing or damaged tells nothing.
+
+    Raises:
+        InputError: units.json or the registry is damaged.
+    """
+    found: dict[str, set[Edition]] = {
+        serial: {edition} for serial, edition in load_units(directory).items()
+    }
+    contents: list[bytes] = []
+    if (directory / FILE_NAME).is_file():
+        with open_registry(directory / FILE_NAME) as registry:
+            contents += registry.list_contents()
+    for path in files:
+        try:
+            contents.append(path.read_bytes())
+        except OSError:
+            continue
+    for content in contents:
+        try:
+            serial, edition = read_edition(content, "block")
+        except InputError:
+            continue
+        found.setdefault(serial, set()).add(edition)
+    return {serial: tuple(editions) for serial, editions in found.items()}

@@ -21,7 +21,6 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.export.compose import describe_compensator
 from zerodrift.export.integer_model import FORCED, IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import (
     RESULT,
     SensorOutcome,
@@ -30,7 +29,7 @@ from zerodrift.fleet.result import (
     read_result,
     save_result,
 )
-from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.fleet.sensors import Design, configure_sensor
 from zerodrift.fleet.work import (
     MODEL,
     PARAMETERS,

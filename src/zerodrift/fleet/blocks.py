@@ -18,11 +18,11 @@ from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate_design
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
-from zerodrift.field.editions import find_editions
+from zerodrift.field.registry import find_editions
 from zerodrift.fleet.block_work import BlockRun, SharedProgram
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import SensorOutcome, TriedBlock
 from zerodrift.fleet.run import Executor, FleetProgress, cut_batches
+from zerodrift.fleet.sensors import Design
 from zerodrift.fleet.work import MODEL
 from zerodrift.verify.certificate import FILE_NAME as CERTIFICATE
 from zerodrift.verify.certificate import certify_design

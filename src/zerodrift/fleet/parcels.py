@@ -21,9 +21,15 @@ from zerodrift.base.files import refuse_foreign
 from zerodrift.base.fleet_config import URL
 from zerodrift.base.journal import gather_changes, write_all
 from zerodrift.dataset.selectors import JOINT, expand_selectors
-from zerodrift.fleet.design import Design, Origin
 from zerodrift.fleet.result import SensorOutcome
-from zerodrift.fleet.sensors import SELECTOR_SUFFIX, configure_sensor, fetch, names_urls
+from zerodrift.fleet.sensors import (
+    SELECTOR_SUFFIX,
+    Design,
+    Origin,
+    configure_sensor,
+    fetch,
+    names_urls,
+)
 from zerodrift.fleet.work import UnitBatch
 
 if TYPE_CHECKING:

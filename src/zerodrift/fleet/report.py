@@ -11,9 +11,9 @@ import numpy as np
 from zerodrift.base.csv_text import render_rows
 from zerodrift.base.journal import write_all
 from zerodrift.base.records import to_dict
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.outliers import Outlier, find_outliers
 from zerodrift.fleet.result import SensorOutcome, SensorResult
+from zerodrift.fleet.sensors import Design
 from zerodrift.fleet.summary import FleetSummary, OutlierSummary, SensorSummary, SpreadSummary
 from zerodrift.verify.manifest import FILE_NAME as MANIFEST
 

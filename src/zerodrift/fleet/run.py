@@ -20,10 +20,9 @@ from zerodrift.base.journal import write_all
 from zerodrift.base.threads import BLAS
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.codegen.identifiers import sanitize_prefix
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.parcels import at_hand
 from zerodrift.fleet.result import RESULT, SensorOutcome, SensorResult, load_result
-from zerodrift.fleet.sensors import configure_sensor, find_sensors, names_urls
+from zerodrift.fleet.sensors import Design, configure_sensor, find_sensors, names_urls
 from zerodrift.verify.manifest import check_manifest
 
 if TYPE_CHECKING:

@@ -32,7 +32,6 @@ from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.fine_tune import load_or_tune
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import FORCED, IntegerModel
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.result import (
     OutputResult,
     ParameterResult,
@@ -40,7 +39,7 @@ from zerodrift.fleet.result import (
     SensorResult,
     save_result,
 )
-from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.fleet.sensors import Design, configure_sensor
 from zerodrift.fleet.summary import EffectValues, SensorConfiguration
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.model import PhysicalModel

@@ -9,8 +9,7 @@ from types import CodeType
 
 from zerodrift.base.errors import InputError
 from zerodrift.base.plugins import EFFECTS, list_points, tell_missing
-from zerodrift.physics.effect import Effect
-from zerodrift.physics.registry import Catalogue, declare, register, registered
+from zerodrift.physics.effect import Catalogue, Effect, declare, register, registered
 
 __all__ = ["Catalogue", "load_built_ins", "load_catalogue", "register"]
 

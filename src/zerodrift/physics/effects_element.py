@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
-from zerodrift.physics.registry import register
+from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values, register
 
 
 def rewrite_clock_delay(ops: Operations[S], signals: Signals[S], p: Values) -> Signals[S]:

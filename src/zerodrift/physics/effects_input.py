@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
-from zerodrift.physics.registry import register
+from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values, register
 
 
 def build_supply_sensitivity(

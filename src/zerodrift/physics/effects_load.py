@@ -6,8 +6,7 @@ They are fitted on the true load, the reference; on the chip they see the compen
 from collections.abc import Callable, Sequence
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
-from zerodrift.physics.registry import register
+from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values, register
 
 LOG_CREEP_PARTS = 5
 """Lowpasses that a logarithmic creep is made of: from tau to 256 tau."""

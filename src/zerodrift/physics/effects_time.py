@@ -4,8 +4,7 @@ import math
 from collections.abc import Sequence
 
 from zerodrift.operations.backend import Operations
-from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values
-from zerodrift.physics.registry import register
+from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values, register
 
 DAY_S = 86400.0
 

@@ -15,8 +15,8 @@ from zerodrift.diagnosis.diagnosis import (
     Sentence,
     write_probability,
 )
+from zerodrift.diagnosis.drivers import OtherThermometer
 from zerodrift.diagnosis.segments import CONCENTRATED, Pattern
-from zerodrift.diagnosis.thermometers import OtherThermometer
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.description import write_values
 from zerodrift.report.results import ProposeResult

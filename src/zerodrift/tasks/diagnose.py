@@ -19,11 +19,11 @@ from zerodrift.diagnosis.course import (
 )
 from zerodrift.diagnosis.diagnose import diagnose as diagnose_once
 from zerodrift.diagnosis.diagnosis import Diagnosis
+from zerodrift.diagnosis.drivers import OtherThermometer, try_thermometers
 from zerodrift.diagnosis.plain_errors import tell_plain_errors
 from zerodrift.diagnosis.referee import review_logs
 from zerodrift.diagnosis.revision import list_needless
 from zerodrift.diagnosis.summary import AdviceSummary
-from zerodrift.diagnosis.thermometers import OtherThermometer, try_thermometers
 from zerodrift.fleet.evidence import find_differences, look_at_unit, pool_units
 from zerodrift.fleet.joint_summary import FleetDiagnosis, summarise_joint
 from zerodrift.fleet.sensors import configure_sensor, find_sensors

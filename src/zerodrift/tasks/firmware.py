@@ -23,7 +23,7 @@ from zerodrift.export.error_bound import ErrorBound, round_up
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.onnx_reader import read_imported
-from zerodrift.field.editions import find_editions
+from zerodrift.field.registry import find_editions
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.tasks.built import FIRMWARE
 from zerodrift.tasks.init import write_config

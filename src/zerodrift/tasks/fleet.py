@@ -13,7 +13,6 @@ from zerodrift.base.progress import SILENT, Progress
 from zerodrift.dataset.chip_codes import DESIGN_FORMAT, list_unstated, require_design_lsb
 from zerodrift.field.registry import FILE_NAME, Registry, open_registry
 from zerodrift.fleet.blocks import FleetBlocks, NoProgramError, write_blocks
-from zerodrift.fleet.design import Design
 from zerodrift.fleet.parcels import at_hand
 from zerodrift.fleet.report import (
     ERROR,
@@ -33,7 +32,7 @@ from zerodrift.fleet.run import (
     import_ray,
     run_fleet,
 )
-from zerodrift.fleet.sensors import configure_sensor
+from zerodrift.fleet.sensors import Design, configure_sensor
 from zerodrift.fleet.summary import BlocksSummary, FleetSummary
 from zerodrift.tasks.project import ProjectFolder, hold_own, place_firmware
 from zerodrift.verify.manifest import hash_logs

@@ -3,16 +3,279 @@
 from collections.abc import Callable, Sequence
 
 import dash
-from dash import Dash, Input, Output, State, no_update
+from dash import Dash, Input, Output, State, dcc, html, no_update
 from dash.development.base_component import Component
 
 from zerodrift.report.page import read_asset
 from zerodrift.report.svg import write_style
 from zerodrift.workbench import views
-from zerodrift.workbench.early import write_frame
-from zerodrift.workbench.layout import EARLY, PAGE, lay_out
+from zerodrift.workbench.early import CAUSE, CONTENTS, OTHER_STEPS, write_frame
 from zerodrift.workbench.views import Shown
 from zerodrift.workbench.workplace import Workplace
+
+# The page without anything in it yet: places for what the callbacks bring.
+
+POLL_MS = 500
+MOVES = (
+    ("earlier", "← Earlier"),
+    ("later", "Later →"),
+    ("closer", "Closer"),
+    ("wider", "Wider"),
+    ("whole", "Whole run"),
+)
+STORES = ("guess", "picks", "below", "chosen")
+"""Of them `picks` and `chosen`, a unit, are written by the page's script: what is chosen now."""
+EARLY = """\
+window.zdFirst = (function () {
+  const inner = document.documentElement.clientWidth, em = 16;
+  const page = Math.min(inner, 94 * em);
+  const width = inner <= 68 * em ? inner - 2.2 * em : page - 4 * em - 15.5 * em;
+  const wish = JSON.stringify({ width: Math.max(width - 15, 240) });
+  return fetch("/picture?wish=" + encodeURIComponent(wish))
+    .then((answer) => (answer.ok ? answer.json() : null))
+    .then((told) => {
+      const main = document.querySelector("#skeleton #main");
+      if (told?.svg && main) { main.innerHTML = '<div class="sketch">' + told.svg + "</div>"; }
+      return told;
+    })
+    .catch(() => null);
+})();
+new MutationObserver((changes, observer) => {
+  if (document.querySelector("#react-entry-point main")) {
+    document.getElementById("skeleton")?.remove();
+    observer.disconnect();
+  }
+}).observe(document.documentElement, { childList: true, subtree: true });
+"""
+"""Asks for the chart while the page's other scripts are still being read, and takes the frame away
+in the very moment in which the page stands in its place."""
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+{%metas%}
+<link rel="preload" as="fetch" href="/_dash-layout" crossorigin>
+<link rel="preload" as="fetch" href="/_dash-dependencies" crossorigin>
+<title>{%title%}</title>
+<script>EARLY</script>
+<style>STYLE</style>
+{%css%}
+</head>
+<body>
+{%app_entry%}
+<footer class="scripts">{%config%}{%scripts%}{%renderer%}</footer>
+</body>
+</html>
+"""
+
+
+def lay_out() -> Component:
+    """Return the whole page."""
+    stores = [dcc.Store(id=name) for name in STORES]
+    return html.Div(
+        [
+            dcc.Interval(id="tick", interval=POLL_MS),
+            dcc.Store(id="version", data=-1),
+            *stores,
+            html.Div(
+                [html.Div(id="job", role="status"), _press("Cancel", "cancel")],
+                id="job-box",
+                hidden=True,
+            ),
+            html.Div(
+                [html.P("", id="message", role="alert"), _press("Dismiss", "dismiss")],
+                id="message-box",
+                hidden=True,
+            ),
+            html.Div(id="recordings", hidden=True, **{"data-told": ""}),
+            html.Div(id="start", hidden=True, className="layout single"),
+            html.Div(
+                [_lay_out_contents(), html.Main([*_lay_out_top(), *_lay_out_sections()], id="top")],
+                id="bench",
+                className="layout",
+                hidden=True,
+            ),
+        ]
+    )
+
+
+def _lay_out_contents() -> Component:
+    links = [html.Li(html.A(words, href=f"#{where}")) for where, words in CONTENTS]
+    theme = html.Button("Dark page", id="theme", className="theme")
+    return html.Nav([html.Ol(links), theme], className="contents", **{"aria-label": "Contents"})
+
+
+def _choose(
+    words: str, name: str, *, store: str = "picks", empty: str | None = "choose"
+) -> Component:
+    """Return a list to choose from, with its words; its choices come by `data-choices`.
+
+    Args:
+        words: what is chosen.
+        name: of the list.
+        store: which is told what is chosen.
+        empty: words for nothing chosen; without them there is always a choice.
+    """
+    told = {"data-store": store, **({} if empty is None else {"data-empty": empty})}
+    return html.Label([words, html.Select(id=name, **told)], className="wide")
+
+
+def _press(words: str, button: str, **options: object) -> Component:
+    """Return a button that has the server do something."""
+    return html.Button(words, id=button, **{"data-press": button}, **options)
+
+
+def _lay_out_top() -> list[Component]:
+    """Return the head: verdict, guess, actions, and what the last change brought."""
+    return [
+        html.P(id="kicker", className="kicker"),
+        html.H1(id="sensor"),
+        html.P(id="subtitle", className="subtitle"),
+        html.Section(id="verdict", className="verdict none"),
+        html.Div(
+            [
+                _choose("My guess", "guess-choice"),
+                html.Button("Now tell me", id="tell", className="primary"),
+            ],
+            id="guess-box",
+            className="actions",
+            hidden=True,
+        ),
+        html.P(id="guess-told", className="note"),
+        html.Section(id="way", **{"aria-label": "The way from logs to a report"}),
+        html.Details(
+            [
+                html.Summary(OTHER_STEPS),
+                html.Div(
+                    [
+                        html.Div(
+                            [
+                                _choose("another effect", "effect"),
+                                _press("Add it", "add-chosen"),
+                            ],
+                            className="pair",
+                        ),
+                        html.Label(
+                            className="check",
+                            **{
+                                "data-check": "force",
+                                "data-words": "keep it even if it does not help",
+                            },
+                        ),
+                        _press("Undo", "undo"),
+                        _press("Redo", "redo"),
+                        _press("Look again", "look"),
+                    ],
+                    className="actions",
+                ),
+            ],
+            id="actions",
+        ),
+        html.Div(id="effect-told", className="card", hidden=True),
+        html.Section(id="revision", className="card", hidden=True),
+        html.Div(id="tiles", className="tiles"),
+    ]
+
+
+def _lay_out_sections() -> list[Component]:
+    """Return the sections below the head."""
+    ghost = "the one that the verdict names"
+    choices = [
+        _choose("Output", "output", store="view", empty=None),
+        _choose("Run", "run", store="view", empty=None),
+        _choose("Drawn over what is left", "ghost", store="view", empty=ghost),
+        html.Label(["What is left, against", html.Select(id="against")], className="wide"),
+    ]
+    chart = html.Div(
+        id="main",
+        tabIndex="0",
+        role="group",
+        **{"aria-label": "The chart: arrow keys read it, with Shift they mark, Enter zooms there"},
+    )
+    table = [
+        html.Summary("What is drawn, as a table", id="main-summary"),
+        html.Div(id="main-table", className="scroll", tabIndex="0"),
+    ]
+    buttons = ("Train", "train"), ("Build firmware", "firmware"), ("Verify", "verify")
+    return [
+        _section(
+            "measured",
+            CAUSE,
+            html.Div(choices, className="choices"),
+            html.Figure(chart),
+            html.Div(
+                [
+                    *(html.Button(w, id=name, **{"data-move": name}) for name, w in MOVES),
+                    html.Button("Zoom to what is marked", id="to-mark", disabled=True),
+                ],
+                className="actions moves",
+                role="group",
+                **{"aria-label": "Part of the run that is shown"},
+            ),
+            html.Div(id="cause"),
+            html.Details(table, id="main-details"),
+        ),
+        _section(
+            "candidates-section",
+            "What is missing, and why not the others",
+            html.Div(id="candidates"),
+        ),
+        _section("staircase-section", "The staircase of errors", html.Div(id="staircase")),
+        _section("errors-section", "Errors", html.Div(id="errors")),
+        _section(
+            "model-section",
+            "Effects in the model",
+            html.Div(id="model"),
+            html.Div(
+                [_choose("Effect", "present"), _press("Remove", "remove")],
+                className="actions",
+            ),
+        ),
+        _section(
+            "firmware-section",
+            "Firmware",
+            html.Div(
+                [
+                    *(_press(words, name) for words, name in buttons),
+                    _press("Apply to the test logs", "apply"),
+                    _press("Write report", "report"),
+                ],
+                className="actions",
+            ),
+            html.Div(id="outcome", role="status"),
+            html.Div(id="firmware-told"),
+        ),
+        _section(
+            "chip-section",
+            "The chip's own C, in this page",
+            html.P(id="chip-told", className="note"),
+            html.Div([_load_chip()], className="actions"),
+            html.Div(id="chip"),
+        ),
+        _section(
+            "units-section",
+            "Units in use",
+            html.Div(id="units", **{"data-told": ""}),
+            html.Div(
+                [
+                    _choose("Unit", "unit", store="chosen", empty=None),
+                    html.Div(id="unit-told"),
+                ],
+                id="unit-box",
+                hidden=True,
+            ),
+        ),
+    ]
+
+
+def _load_chip() -> Component:
+    words = "Bring the C into the page"
+    return html.Button(words, id="load-chip", **{"data-press": "chip"})
+
+
+def _section(name: str, title: str, *parts: Component) -> Component:
+    return html.Section([html.H2(title), *parts], id=name)
+
 
 # The page as it is sent first: with the verdict, the choices and the chart already in it.
 #
