@@ -86,7 +86,7 @@ def test_spacing_of_windows_is_that_of_training():
     assert SPACING_S == TRAINED
 
 
-@pytest.mark.parametrize("seed", [20, 21, 22])
+@pytest.mark.spread(2, "seed", [20, 21, 22])
 def test_chamber_logs_of_a_plain_lag_show_one_heat_path(ask, seed):
     assert ask(seed=seed).heat == "one"
     assert ask(hidden=lag(20.0), seed=seed).heat == "one"

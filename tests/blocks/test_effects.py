@@ -72,6 +72,7 @@ def test_one_program_computes_what_each_units_reference_does(tmp_path: Path) -> 
             assert check.mismatch is None, check.mismatch
 
 
+@pytest.mark.long
 def test_the_common_format_costs_next_to_nothing() -> None:
     design = find_design()
     for own in list_units():

@@ -19,6 +19,8 @@ from zerodrift.fleet import block_work, work
 from zerodrift.fleet.batch import RANDOM_STEPS
 from zerodrift.fleet.spool import Spooled, spool
 
+pytestmark = pytest.mark.long
+
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
 
 

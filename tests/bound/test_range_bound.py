@@ -54,7 +54,7 @@ WILD: dict[str, Callable[[], Case]] = {
 }
 
 
-@pytest.mark.parametrize("name", WILD)
+@pytest.mark.spread(4, "name", WILD)
 def test_what_lies_within_a_range_is_off_by_no_more(name: str) -> None:
     case = WILD[name]()
     network = case.described.network
@@ -70,7 +70,7 @@ def test_what_lies_within_a_range_is_off_by_no_more(name: str) -> None:
     assert (replace(case, codes=codes).measure() <= told).all()
 
 
-@pytest.mark.parametrize("name", WILD)
+@pytest.mark.spread(2, "name", WILD)
 def test_the_check_derives_it_and_refuses_less(name: str) -> None:
     told, texts = WILD[name]().certify()
     assert not compare(told, texts).failures

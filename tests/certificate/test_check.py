@@ -81,9 +81,8 @@ def find_fault(claims: dict[str, Any], texts: dict[str, str]) -> list[str]:
     return list(next(found, ()))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES],
+@pytest.mark.spread(
+    6, "name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES]
 )
 def test_every_claim_of_the_golden_models_holds(name: str) -> None:
     certificate, texts = build_files(draw_model(CASES[name].shape, sum(name.encode())))
@@ -93,6 +92,7 @@ def test_every_claim_of_the_golden_models_holds(name: str) -> None:
     assert outcome.holds == count_claims(claims)
 
 
+@pytest.mark.long
 @settings(
     max_examples=8,
     deadline=None,
@@ -141,7 +141,7 @@ def test_any_shift_or_table_claimed_otherwise_is_refused() -> None:
         assert any(left_out["where"] in failure for failure in judge(claims, machine)[1])
 
 
-@pytest.mark.parametrize("name", ["golden.c", "golden.h", "zd_runtime.c", "zd_runtime.h"])
+@pytest.mark.spread(2, "name", ["golden.c", "golden.h", "zd_runtime.c", "zd_runtime.h"])
 def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
     certificate, texts = build(FULL)
     for at in range(0, len(texts[name]), len(texts[name]) // 7):
@@ -151,7 +151,8 @@ def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
         assert any("its hash is" in failure for failure in of_files.failures)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     "table",
     [
         "gru_w_x",
@@ -181,7 +182,7 @@ def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
             assert bool(beyond) is expect, (table, place, beyond)
 
 
-@pytest.mark.parametrize("kernel", ["PAIRS", "ROWS", "COLUMNS"])
+@pytest.mark.spread(1, "kernel", ["PAIRS", "ROWS", "COLUMNS"])
 def test_every_kernel_s_own_table_is_checked(kernel: str) -> None:
     """A kernel that reads its weights in another order has them in a table of its own."""
     certificate, texts = build(Shape(inputs=3, hidden=5))

@@ -103,7 +103,7 @@ def build_guarded(name: str, guarded: bool = True) -> tuple[str, dict[str, str]]
         return build_files(replace(draw_model(SHAPES[name], 31), guarded=guarded))
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.spread(4, "name", SHAPES)
 def test_guarded_code_is_understood_and_holds(name: str) -> None:
     certificate, texts = build_guarded(name)
     assert json.loads(certificate)["checksum"] == "check"
@@ -131,6 +131,7 @@ def test_guard_is_claimed_where_there_is_one(guarded: bool) -> None:
     assert any("checksum" in failure for failure in find_fault(claims, texts))
 
 
+@pytest.mark.long
 def test_claimed_inputs_are_those_of_the_header() -> None:
     certificate, texts = build_guarded("stream", guarded=False)
     claims = json.loads(certificate)

@@ -23,9 +23,7 @@ NAMES = ("unit", "main", "harness", "sanitized", "together", "object", "run")
 
 
 @pytest.fixture(scope="module")
-def model_and_codes(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[IntegerModel, np.ndarray]:
+def model_and_codes(tmp_path_factory: pytest.TempPathFactory) -> tuple[IntegerModel, np.ndarray]:
     config = load_config(write_project(tmp_path_factory.mktemp("names") / "project"))
     dataset = load_dataset(config)
     described = describe_compensator(train(config, dataset).compensator, config, dataset.train)

@@ -40,7 +40,7 @@ REWRITTEN = (EffectConfig("zero_tempco", {"order": 2}), EffectConfig("dark_curre
 """What the effects that rewrite the temperature act on."""
 
 
-@pytest.mark.parametrize(("kind", "variant"), CASES)
+@pytest.mark.spread(22, ("kind", "variant"), CASES)
 def test_effect_is_the_same_on_the_chip(
     kind: str, variant: dict[str, float], tmp_path: Path
 ) -> None:

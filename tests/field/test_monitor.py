@@ -78,6 +78,7 @@ def test_monitor_names_the_cause(unit, tmp_path, fault: str, cause: str) -> None
         assert "recalibrate small: the zero of y moved by" in str(result.exception)
 
 
+@pytest.mark.long
 def test_monitor_goes_on_where_the_last_call_ended(unit, tmp_path) -> None:
     zero = 0.5 * (np.arange(30 * DAY) >= 20 * DAY)
     for part in range(6):

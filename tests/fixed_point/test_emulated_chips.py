@@ -89,7 +89,8 @@ def draw_codes(channels: int) -> np.ndarray[tuple[int, int], np.dtype[np.int16]]
     return np.concatenate([rails, noise, np.clip(walk, -32768, 32767)]).astype(np.int16)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    8,
     ("core", "shape"),
     [
         pytest.param(core, shape, marks=() if (core, shape) in QUICK else pytest.mark.slow)
@@ -120,8 +121,7 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize(
-    "flags",
-    [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")],
+    "flags", [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")]
 )
 def test_layers_that_are_assembly_alone_are_the_same_in_every_build(
     core: str, shape: str, flags: tuple[str, ...], tmp_path: Path
@@ -208,10 +208,7 @@ COUNTED = {
 @pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
 @pytest.mark.parametrize(
     ("core", "shape"),
-    [
-        *(("cortex-m4", s) for s in COUNTED),
-        *(("cortex-m0plus", s) for s in ("before", "lstm")),
-    ],
+    [*(("cortex-m4", s) for s in COUNTED), *(("cortex-m0plus", s) for s in ("before", "lstm"))],
 )
 def test_instruction_count_of_other_layers_does_not_depend_on_the_data(
     core: str, shape: str, flags: tuple[str, ...], tmp_path: Path

@@ -103,7 +103,7 @@ def test_flags_trip_on_both_sides_of_every_channel() -> None:
             assert flags == (flag if outside else 0), (channel, code)
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.spread(1, "name", SHAPES)
 def test_host_and_onnx_equal_the_reference(name: str, tmp_path: Path) -> None:
     model = draw_model(SHAPES[name], 2)
     code = generate(model)

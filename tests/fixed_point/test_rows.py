@@ -53,6 +53,7 @@ def test_rows_replay_golden_vectors(name: str, tmp_path: Path) -> None:
     assert host.selftest() == 0
 
 
+@pytest.mark.long
 @settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=RELAXED)
 @given(shape=shapes(), seed=st.integers(0, 2**31))
 def test_rows_of_random_models_equal_the_reference(shape: Shape, seed: int) -> None:

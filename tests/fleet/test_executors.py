@@ -12,6 +12,8 @@ from zerodrift.fleet.design import Design
 from zerodrift.fleet.executors import OverRay, Serial
 from zerodrift.fleet.run import run_fleet
 
+pytestmark = pytest.mark.long
+
 
 class RayError(Exception):
     """What Ray raises when its cluster is lost."""

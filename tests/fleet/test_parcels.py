@@ -16,6 +16,8 @@ from zerodrift.fleet.parcels import Sealed
 from zerodrift.fleet.report import judge_fleet, write_report
 from zerodrift.fleet.run import run_fleet
 
+pytestmark = pytest.mark.long
+
 CLUSTER = "host:6379"
 
 

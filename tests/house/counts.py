@@ -37,11 +37,7 @@ NAMED = (
     ("parts", "export/golden.py", "arrays by their names in golden.npz"),
     ("attributes", "export/onnx_*", "attributes of an ONNX node, by ONNX's own names"),
     ("weights", "train/onnx_export.py", "weights of an ONNX file, by their names in it"),
-    (
-        "parameters",
-        "train/networks.py",
-        "weights by the names under which a network is trained",
-    ),
+    ("parameters", "train/networks.py", "weights by the names under which a network is trained"),
     ("trace", "src/zerodrift/verify/error_budget.py", "arrays by the names of a graph's nodes"),
     ("known", "src/zerodrift/verify/error_budget.py", "arrays by the names of a graph's nodes"),
     ("values", "export/fine_tune.py", "arrays by the names of a graph's nodes"),

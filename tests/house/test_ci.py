@@ -124,3 +124,15 @@ def test_a_benchmark_that_misses_a_mark_fails_the_run(code: int, tmp_path: Path)
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False)
     assert done.returncode == (code > 0)
+
+
+def test_tiers_are_markers_that_are_registered_and_used_and_no_list_of_names() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"]
+    assert "--strict-markers" in options["ini_options"]["addopts"].split()
+    files = [p for p in (ROOT / "tests").rglob("*") if p.suffix in (".py", ".txt", ".toml", ".ini")]
+    texts = {path: path.read_text("utf-8") for path in files}
+    used = set(re.findall(r"pytest\.mark\.(\w+)", " ".join(texts.values())))
+    own = {"parametrize", "skipif", "usefixtures", "filterwarnings"}
+    registered = {re.match(r"\w+", line)[0] for line in options["ini_options"]["markers"]}
+    assert used - own == registered
+    assert not [str(path) for path, text in texts.items() if re.search(r"\.py::[a-z]", text)]

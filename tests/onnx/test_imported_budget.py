@@ -6,14 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.onnx.graphs import keras
-from tests.onnx.test_firmware_onnx import (
-    DEVIATION,
-    FEATURES,
-    MEAN,
-    TOML,
-    scale_inputs,
-    write_logs,
-)
+from tests.onnx.test_firmware_onnx import DEVIATION, FEATURES, MEAN, TOML, scale_inputs, write_logs
 from tests.onnx.torch_networks import Form, export
 
 from zerodrift.base.config import load_config
@@ -74,6 +67,7 @@ def test_budget_has_every_node_and_adds_up(name: str, project: Path, tmp_path: P
     assert all((node.rms > 0).all() for node in budget.nodes if node.node in ("gru", "drift"))
 
 
+@pytest.mark.long
 def test_budget_names_the_node_that_is_made_coarse(project: Path, tmp_path: Path) -> None:
     name = "two layers, window, relu"
     coarse_weights, _ = measure(project, name, tmp_path / "a", weights="int8")

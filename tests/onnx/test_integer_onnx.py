@@ -59,6 +59,7 @@ def test_onnxruntime_replays_golden_vectors(name: str) -> None:
     assert crc_of(rows) == golden.crc
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=RELAXED)
 @given(shape=shapes(most_hidden=24), seed=st.integers(0, 2**31))
 def test_random_model_equals_reference(shape: Shape, seed: int) -> None:

@@ -5,12 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from tests.effects_on_chip.random_graphs import (
-    LSB_PER_UNIT,
-    LSBS,
-    describe_graph,
-    draw_codes,
-)
+from tests.effects_on_chip.random_graphs import LSB_PER_UNIT, LSBS, describe_graph, draw_codes
 
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.c_runtime.host import HostModel

@@ -168,7 +168,7 @@ def test_reference_c_onnx_and_certificate_agree(kind: str, tmp_path: Path) -> No
     assert outcome.understood and not outcome.failures, outcome.failures
 
 
-@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4"])
+@pytest.mark.spread(0, "core", ["cortex-m0plus", "cortex-m4"])
 def test_emulated_cores_agree(core: str, tmp_path: Path) -> None:
     for number, kind in enumerate(("ntc", "ntc of 24 bits", "pt1000")):
         model = make_model(kind)

@@ -12,6 +12,8 @@ from zerodrift.train.black_box.bank import learn_bank
 from zerodrift.train.black_box.compare import try_black_boxes
 from zerodrift.train.black_box.signals import pose
 
+pytestmark = pytest.mark.long
+
 
 def open_case(kind, runs=5, seed=3):
     case = simulate(kind, 5.0, runs, seed)

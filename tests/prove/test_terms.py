@@ -86,18 +86,12 @@ class Draw:
                 lambda: terms.choose(t, terms.add(a, ends[0]), a),
                 lambda v: f(v) + low if f(v) < g(v) else f(v),
             ),
-            (
-                lambda: self._clamp_as_c(a, *ends),
-                lambda v: min(max(f(v), low), high),
-            ),
+            (lambda: self._clamp_as_c(a, *ends), lambda v: min(max(f(v), low), high)),
             (
                 lambda: terms.choose(u, terms.add(c, terms.scale(t, bit)), c),
                 lambda v: h(v) + bit * (f(v) < g(v) and g(v) == h(v)),
             ),
-            (
-                lambda: self._set_twice(t, u, bit),
-                lambda v: bit * (f(v) < g(v) or g(v) == h(v)),
-            ),
+            (lambda: self._set_twice(t, u, bit), lambda v: bit * (f(v) < g(v) or g(v) == h(v))),
         ]
         make, compute = rng.choice([w for w in ways if w[1] is not None])
         return make(), compute

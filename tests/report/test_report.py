@@ -19,12 +19,7 @@ from zerodrift.base.sealed import render_sealed
 from zerodrift.diagnosis.comparison_summary import RunSummary
 from zerodrift.diagnosis.run_spread import measure_spread
 from zerodrift.report.annex import list_annex
-from zerodrift.report.findings import (
-    ARRAYS,
-    load_findings,
-    measure_rate,
-    save_findings,
-)
+from zerodrift.report.findings import ARRAYS, load_findings, measure_rate, save_findings
 from zerodrift.report.parts import MOST_PARTS, list_parts
 from zerodrift.report.report import MOST_WORST, list_pictures, render_report
 from zerodrift.tasks.built import read_certificate

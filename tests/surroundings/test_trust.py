@@ -27,6 +27,7 @@ def stranger(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_report_asks_before_it_runs_a_strangers_effects(
     stranger: Path, tmp_path: Path, run: Run
 ) -> None:
@@ -36,6 +37,7 @@ def test_report_asks_before_it_runs_a_strangers_effects(
     assert not (stranger / "report.html").exists()
 
 
+@pytest.mark.long
 def test_report_asks_once_for_each_content(stranger: Path, tmp_path: Path, run: Run) -> None:
     assert run("report", "-C", stranger, "--no-diagnose", "--trust").returncode == 0
     assert (tmp_path / "was_run").exists()
@@ -75,6 +77,7 @@ def test_diff_asks_before_it_runs_a_strangers_effects(
     assert not (tmp_path / "was_run").exists()
 
 
+@pytest.mark.long
 def test_a_project_that_its_author_works_on_is_not_asked_about(stranger: Path, run: Run) -> None:
     """Not even where a file of effects was edited since."""
     assert run("train", "-C", stranger).returncode == 0
@@ -98,6 +101,7 @@ def test_the_answer_on_the_terminal_is_taken(
     assert zerodrift("effects", "-C", stranger).code == 0, "asked once"
 
 
+@pytest.mark.long
 def test_verify_runs_no_effects(stranger: Path, tmp_path: Path, run: Run) -> None:
     assert run("firmware", "-C", stranger).returncode == 0
     (tmp_path / "was_run").unlink()
@@ -105,6 +109,7 @@ def test_verify_runs_no_effects(stranger: Path, tmp_path: Path, run: Run) -> Non
     assert not (tmp_path / "was_run").exists()
 
 
+@pytest.mark.long
 def test_the_page_asks_too(stranger: Path, tmp_path: Path, run: Run) -> None:
     done = run("workbench", "-C", stranger, "--no-browser")
     assert_one_message(done, 2, "own.py", "--trust")

@@ -79,7 +79,7 @@ KINDS = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "memory", "form", "tared"), KINDS)
+@pytest.mark.spread(1, ("kind", "memory", "form", "tared"), KINDS)
 def test_sensors_trained_at_once_are_those_trained_one_at_a_time(kind, memory, form, tared):
     """Against a loop that shares no code with the engine: autograd, PyTorch's AdamW."""
     # Sensors differ in the number, the lengths and the features of their runs.
@@ -218,7 +218,7 @@ def test_checkpoint_from_when_starts_were_trained_in_turn_is_taken_up(
     assert_equal(whole, resumed)
 
 
-@pytest.mark.parametrize("form", ["reset_after", "reset_before"])
+@pytest.mark.spread(1, "form", ["reset_after", "reset_before"])
 def test_recurrence_and_gradients_are_those_of_autograd_on_each_network(form):
     generator = torch.Generator().manual_seed(3)
     sensors, features, steps, count = 3, 2, 9, 5

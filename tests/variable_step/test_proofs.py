@@ -76,7 +76,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("what", sorted(WRONG))
+@pytest.mark.spread(2, "what", sorted(WRONG))
 def test_changed_c_is_not_proven(what: str) -> None:
     before, after = WRONG[what]
     assert before in CODE.source

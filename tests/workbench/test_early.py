@@ -19,6 +19,8 @@ from zerodrift.workbench.hold import hold_directory, release_directory
 from zerodrift.workbench.server import Workbench
 from zerodrift.workbench.skeleton import READING
 
+pytestmark = pytest.mark.long
+
 LATER = ("scipy.stats", "scipy.signal", "scipy.ndimage", "scipy.optimize", "torch")
 """What takes long to load, and no page needs to begin."""
 

@@ -37,11 +37,7 @@ BUILT = SimpleNamespace(flash_bytes=1446)
         (stand(), "diagnose", "look"),
         (stand(missing()), "add", "add"),
         (stand(told("unknown")), "add", "propose"),
-        (
-            stand(told("unknown", notes=(wrong("a", "sign"),))),
-            "diagnose",
-            "look",
-        ),
+        (stand(told("unknown", notes=(wrong("a", "sign"),))), "diagnose", "look"),
         (stand(told("unknown"), proposed=True), "firmware", "firmware"),
         (stand(told("complete")), "firmware", "firmware"),
         (stand(told("complete"), firmware=BUILT), "verify", "verify"),
@@ -73,8 +69,7 @@ def test_what_was_refused_is_not_offered_again():
 
 
 @pytest.mark.parametrize(
-    ("diagnosis", "words"),
-    [(missing(ratio=0.93), "only 7.0 %"), (missing(p=0.25), "p = 0.25")],
+    ("diagnosis", "words"), [(missing(ratio=0.93), "only 7.0 %"), (missing(p=0.25), "p = 0.25")]
 )
 def test_weak_evidence_is_not_what_is_proposed_first(diagnosis, words):
     path = find_path(stand(diagnosis))
