@@ -72,6 +72,7 @@ def test_one_program_and_a_block_per_unit(fleet: Path, zerodrift) -> None:
     assert load_design(design).identity == told["blocks"]["design"]
 
 
+@pytest.mark.long
 def test_the_certificate_is_that_of_the_one_program_alone(
     fleet: Path, zerodrift, monkeypatch
 ) -> None:

@@ -212,7 +212,8 @@ def test_the_certificate_holds_of_every_block() -> None:
     assert outcome.holds > 4 * HIDDEN + len(find_design().fields)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    3,
     ("pattern", "to"),
     [
         (r"    within &= cell_gru_within.*\n", ""),

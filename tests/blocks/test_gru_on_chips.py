@@ -20,7 +20,7 @@ from zerodrift.c_runtime.emulator import EmulatedModel
 
 
 @pytest.mark.spread(
-    6,
+    2,
     ("core", "flags"),
     [(core, ("-O2",)) for core in CORES]
     + [("cortex-m4", ("-Os",)), ("cortex-m4", ("-O2", "-DZD_NO_ASSEMBLY"))]

@@ -32,7 +32,7 @@ def _copy(told: Mapping[str, Any]) -> Told:
     return copied
 
 
-@pytest.mark.spread(4, "number", NUMBERS)
+@pytest.mark.spread(1, "number", NUMBERS)
 def test_the_bound_is_confirmed_and_any_smaller_one_refused(number: int) -> None:
     told, texts = _certify(number)
     outcome = compare(told, texts)

@@ -66,7 +66,8 @@ def test_no_drawn_input_exceeds_the_bound_of_many_lstms() -> None:
     _hold(MANY)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     ("of_states", "of_forget", "said"),
     [
         (16.0, 0.0, "no contraction is shown"),
@@ -92,7 +93,7 @@ def test_the_rule_is_tight_where_the_candidate_is_most_of_it() -> None:
         assert found <= round_up(of_output.total) <= 1.25 * found
 
 
-@pytest.mark.parametrize("lacks", FOUND)
+@pytest.mark.spread(1, "lacks", FOUND)
 def test_an_unsound_rule_is_found(lacks: str, monkeypatch: pytest.MonkeyPatch) -> None:
     RULES[lacks](monkeypatch)
     claimed = make_lstm_probe().bound().outputs
@@ -100,7 +101,7 @@ def test_an_unsound_rule_is_found(lacks: str, monkeypatch: pytest.MonkeyPatch) -
     assert any(x > of_output.total for x, of_output in zip(largest, claimed, strict=True))
 
 
-@pytest.mark.parametrize("lacks", RULES)
+@pytest.mark.spread(2, "lacks", RULES)
 def test_what_an_unsound_rule_claims_is_refused_by_the_check(
     lacks: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,6 +112,7 @@ def test_what_an_unsound_rule_claims_is_refused_by_the_check(
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
+@pytest.mark.long
 def test_a_check_that_leaves_parts_out_would_confirm_what_an_input_exceeds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -195,7 +197,7 @@ def test_the_way_to_rest_ends_as_near_as_is_said(kind: Forgetful) -> None:
     assert max(allowed) < 1e-4
 
 
-@pytest.mark.spread(1, "kind", KINDS, ids=str)
+@pytest.mark.spread(0, "kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
     told, texts = make_lstm(kind).certify()
     assert not compare(told, texts).failures

@@ -94,7 +94,7 @@ def test_a_rule_without_the_errors_of_the_layer_below_is_found(
     assert any(most > error.total for most, error in zip(found, case.bound().outputs, strict=True))
 
 
-@pytest.mark.spread(1, "kind", KINDS, ids=str)
+@pytest.mark.spread(0, "kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
     told, texts = make_recurrent(kind).certify()
     assert not compare(told, texts).failures
@@ -103,7 +103,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
-@pytest.mark.parametrize("change", ["operation", "order", "short", "reads", "skips", "fine"])
+@pytest.mark.spread(1, "change", ["operation", "order", "short", "reads", "skips", "fine"])
 def test_a_float_stack_that_is_not_the_cs_is_refused(change: str) -> None:
     told, texts = make_recurrent(KINDS[0]).certify()
     lines = told["float_model"]

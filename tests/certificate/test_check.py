@@ -82,7 +82,7 @@ def find_fault(claims: dict[str, Any], texts: dict[str, str]) -> list[str]:
 
 
 @pytest.mark.spread(
-    6, "name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES]
+    1, "name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES]
 )
 def test_every_claim_of_the_golden_models_holds(name: str) -> None:
     certificate, texts = build_files(draw_model(CASES[name].shape, sum(name.encode())))
@@ -112,8 +112,11 @@ def test_checker_derives_the_prover_s_bounds_exactly(shape: Shape, seed: int) ->
 
 
 @pytest.mark.parametrize("side", ["low", "high"])
-@pytest.mark.parametrize(
-    "shape", [FULL, Shape(weights="int8", reset="before", hidden=3, window=4)], ids=["full", "int8"]
+@pytest.mark.spread(
+    1,
+    "shape",
+    [FULL, Shape(weights="int8", reset="before", hidden=3, window=4)],
+    ids=["full", "int8"],
 )
 def test_any_bound_lowered_by_one_is_refused(shape: Shape, side: str) -> None:
     certificate, texts = build(shape)
@@ -182,7 +185,7 @@ def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
             assert bool(beyond) is expect, (table, place, beyond)
 
 
-@pytest.mark.spread(1, "kernel", ["PAIRS", "ROWS", "COLUMNS"])
+@pytest.mark.spread(0, "kernel", ["PAIRS", "ROWS", "COLUMNS"])
 def test_every_kernel_s_own_table_is_checked(kernel: str) -> None:
     """A kernel that reads its weights in another order has them in a table of its own."""
     certificate, texts = build(Shape(inputs=3, hidden=5))
@@ -322,7 +325,7 @@ FAULTS = {
 """What is wrong -> (file, pattern, what it becomes); hashes are corrected after each."""
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.spread(7, "fault", FAULTS)
 def test_derivation_notices_a_planted_fault(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     name, pattern, becomes = FAULTS[fault]
     if name == TABLE or "invariant" in fault:  # not by the runtime's hash alone

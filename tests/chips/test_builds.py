@@ -141,7 +141,7 @@ def test_two_versions_of_the_runtime_link_into_one_firmware(tmp_path: Path) -> N
     assert subprocess.run([f"{tmp_path}/main"], check=False).returncode == 2
 
 
-@pytest.mark.spread(10, "name", ["golden.h", "golden.c", *(path.name for path in RUNTIME_FILES)])
+@pytest.mark.spread(3, "name", ["golden.h", "golden.c", *(path.name for path in RUNTIME_FILES)])
 def test_a_file_of_another_set_does_not_compile(name: str, tmp_path: Path) -> None:
     """As after a copy that was interrupted: one file is still the old one."""
     code = generate(draw_model(NETWORK, 5))

@@ -31,7 +31,7 @@ def model_and_codes(tmp_path_factory: pytest.TempPathFactory) -> tuple[IntegerMo
     return model, encode_inputs(model, dataset.train[0])[:20]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.spread(2, "name", NAMES)
 def test_its_c_compiles_is_measured_and_runs(
     name: str, model_and_codes: tuple[IntegerModel, np.ndarray], tmp_path: Path
 ) -> None:

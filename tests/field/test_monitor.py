@@ -45,7 +45,8 @@ def test_monitor_stays_silent_over_a_sound_month_and_says_what_was_used(unit, tm
     assert used.calibrated_low < used.low + 1
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("fault", "cause"),
     [("step", "step"), ("ageing", "ageing"), ("unit", "other unit"), ("model", "other model")],
 )

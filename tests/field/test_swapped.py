@@ -15,6 +15,8 @@ from zerodrift.field.registry import open_registry
 from zerodrift.field.summary import MonitorResult, UnitSought
 from zerodrift.report.results import read_result
 
+pytestmark = pytest.mark.long
+
 SLOPES = {"SN01": 0.30, "SN02": 1.9, "SN03": -1.4, "SN04": 0.9}
 SWINGS = {"SN04": 0.7}
 """Of temperature while it was calibrated, as a share of the others'."""
@@ -83,7 +85,6 @@ def read_sought(result: Result) -> UnitSought:
     return sought
 
 
-@pytest.mark.long
 def test_monitor_says_which_unit_of_the_fleet_is_in_place(fleet, tmp_path) -> None:
     log = write_swapped(tmp_path / "a.csv", SLOPES["SN03"])
     metrics = tmp_path / "m.prom"
@@ -114,7 +115,6 @@ def test_monitor_says_nothing_of_other_units_after_a_step(fleet, tmp_path) -> No
     assert read(result).other_unit is None
 
 
-@pytest.mark.long
 def test_a_name_comes_from_logs_of_several_calls(fleet, tmp_path) -> None:
     states = []
     for first, days in ((0, 20), (20, 1), (21, 1), (22, 2)):
@@ -146,7 +146,6 @@ def test_a_unit_that_was_there_from_the_first_sample_is_named(fleet, tmp_path) -
     assert read_sought(result).named == "SN02"
 
 
-@pytest.mark.long
 def test_a_live_source_names_the_unit_too(fleet, tmp_path) -> None:
     log = write_swapped(tmp_path / "a.csv", SLOPES["SN03"], days=25)
     result = watch(fleet, tmp_path, f"command:cat {log}", "--every-s", "86400", "--json")
@@ -163,7 +162,6 @@ def test_a_unit_without_a_model_is_told(fleet, tmp_path) -> None:
     assert any(note.startswith("SN04 is not tried: ") for note in told.notes)
 
 
-@pytest.mark.long
 def test_blocks_of_the_registry_are_tried(fleet, tmp_path) -> None:
     """The fleet was moved away; what is left are the blocks that the registry holds."""
     project = make_fleet(tmp_path / "project", BLOCK)

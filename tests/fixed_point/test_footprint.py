@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 TABLE_BYTES = 4 * 513
 
 
-@pytest.mark.parametrize("core", CORES)
+@pytest.mark.spread(2, "core", CORES)
 def test_footprint_is_plausible_on_every_core(core: str) -> None:
     model = load("front_end").model
     size = measure_footprint(generate(model), core)

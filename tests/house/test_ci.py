@@ -136,3 +136,23 @@ def test_tiers_are_markers_that_are_registered_and_used_and_no_list_of_names() -
     registered = {re.match(r"\w+", line)[0] for line in options["ini_options"]["markers"]}
     assert used - own == registered
     assert not [str(path) for path, text in texts.items() if re.search(r"\.py::[a-z]", text)]
+
+
+def test_spread_leaves_all_but_so_many_cases_to_test_long(tmp_path: Path) -> None:
+    file = tmp_path / "test_it.py"
+    cases = "[pytest.param(9, marks=pytest.mark.slow), *'abcdef']"
+    file.write_text(f"import pytest\n@pytest.mark.spread(2, 'x', {cases})\ndef test_it(x): ...\n")
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "tests.conftest",
+        "-c",
+        ROOT / "pyproject.toml",
+    ]
+    done = subprocess.run(
+        [*command, "--collect-only", "-q", "-m", "not long", file],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert re.findall(r"test_it\[(.)\]", done.stdout) == ["9", "a", "d"], done.stdout
