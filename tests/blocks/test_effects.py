@@ -81,7 +81,7 @@ def test_the_common_format_costs_next_to_nothing() -> None:
         assert np.abs(drifts[0].astype(np.int64) - drifts[1]).max() <= 3  # 3e-4 N of 200 N
 
 
-@pytest.mark.spread(1, "core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
+@pytest.mark.spread(0, "core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
 def test_cores_give_the_references_bits(core: str, tmp_path: Path) -> None:
     if any(importlib.util.find_spec(name) is None for name in ("unicorn", "ziglang")):
         pytest.skip("emulation needs the unicorn and ziglang wheels")

@@ -60,7 +60,7 @@ def test_drawn_cases_are_drawn_over_all_factors() -> None:
 
 
 @pytest.mark.parametrize("noise", ["white", "flicker", "coarse"])
-@pytest.mark.spread(4, "simulator", [1, 2, 3])
+@pytest.mark.spread(2, "simulator", [1, 2, 3])
 def test_a_condition_is_what_the_logs_are_like(simulator, noise) -> None:
     logs = Condition(4, 4, dwell=False, noise=noise, outliers=0.02)
     drawn = draw(ask(simulator=simulator, purpose="complete", hidden=(), size=0.0, logs=logs))

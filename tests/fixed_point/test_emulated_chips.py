@@ -113,7 +113,8 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     assert chip.selftest() == 0
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("core", "shape"),
     [
         *(("cortex-m4", s) for s in SHAPES if s.startswith(("before", "int8, ", "lstm", "stack"))),

@@ -76,7 +76,7 @@ def test_rows_of_an_lstm_equal_the_reference(shape: str, weights: str) -> None:
 
 
 @pytest.mark.parametrize("shifts", SHIFTS)
-@pytest.mark.spread(2, "reset", ["after", "before"])
+@pytest.mark.spread(1, "reset", ["after", "before"])
 def test_products_of_8_bits_are_rounded_by_any_shift(
     reset: str, shifts: tuple[int, int, int], tmp_path: Path
 ) -> None:

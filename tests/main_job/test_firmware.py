@@ -194,6 +194,7 @@ def share_of_quantization(directory: Path) -> float:
     return float(np.sqrt((error**2).mean(axis=0) / (wanted**2).mean(axis=0)).max())
 
 
+@pytest.mark.long
 def test_firmware_with_five_effects_and_a_network(logs: Path, tmp_path: Path) -> None:
     directory = write_project(tmp_path / "p", logs)
     toml = directory / "zerodrift.toml"

@@ -56,7 +56,7 @@ def measure(
     return budget, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
 
-@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.spread(2, "name", NETWORKS)
 def test_budget_has_every_node_and_adds_up(name: str, project: Path, tmp_path: Path) -> None:
     budget, measured = measure(project, name, tmp_path)
     np.testing.assert_allclose(budget.total, measured, rtol=1e-6)

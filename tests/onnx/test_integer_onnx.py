@@ -47,7 +47,7 @@ def compare(model: IntegerModel, codes: NDArray[np.int16]) -> None:
             np.testing.assert_array_equal(got, want)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.spread(4, "name", CASES)
 def test_onnxruntime_replays_golden_vectors(name: str) -> None:
     golden = load(name)
     trace = OnnxModel(golden.model).run(golden.codes[None], settled=golden.settled)

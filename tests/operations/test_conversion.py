@@ -142,7 +142,7 @@ def test_a_converter_at_its_rails_has_no_reading() -> None:
         assert by.convert(np.array([code]))[0] != NONE, code
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.spread(1, "kind", KINDS)
 def test_reference_c_onnx_and_certificate_agree(kind: str, tmp_path: Path) -> None:
     model = make_model(kind)
     model.save(tmp_path / "model.json")

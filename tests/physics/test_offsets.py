@@ -132,7 +132,7 @@ def test_few_offsets_on_a_line_over_the_clock_are_ageing(tempco, runs):
     assert (diagnosis.verdict, diagnosis.effect) == ("missing", "ageing")
 
 
-@pytest.mark.parametrize("runs", [3, 4, 5])
+@pytest.mark.spread(1, "runs", [3, 4, 5])
 def test_few_offsets_drawn_at_random_are_a_tare(tempco, runs):
     dataset = with_clock(make_dataset(linear, length=300, runs=runs, tared=False))
     draws = np.random.default_rng(runs).normal(size=(8, runs)) * 20.0

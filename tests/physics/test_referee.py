@@ -79,7 +79,7 @@ def test_clean_logs_get_no_note(clean):
     assert review(make_dataset(lambda b: 0.0 * b.load, runs=4, length=300)) == ()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.spread(4, "kind", KINDS)
 def test_wrong_run_is_told_with_its_column(clean, kind):
     change, column = KINDS[kind]
     found = review(spoil(clean, **change(clean.train[2])))

@@ -47,6 +47,7 @@ def test_the_best_programme_is_no_worse_than_the_first_answer(planned):
     assert expect_verdicts(planned.told).mean() > 0.5
 
 
+@pytest.mark.long
 def test_a_programme_without_loads_tells_nothing_of_load_effects(planned):
     judge = Judge(planned.scene, planned.limits, (), (0,))
     still = Log(

@@ -71,7 +71,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return project
 
 
-@pytest.mark.parametrize("how", SPOILT)
+@pytest.mark.spread(2, "how", SPOILT)
 def test_a_compensator_that_is_not_as_written_is_trained_again(
     how: str, trained: Path, zerodrift: Command
 ) -> None:

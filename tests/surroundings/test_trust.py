@@ -159,6 +159,7 @@ def quick_verify(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zerodrift.verify.replay.RANDOM_STEPS", 1000)
 
 
+@pytest.mark.long
 def test_verify_runs_foreign_c_that_the_user_agreed_to(
     foreign: Path, tmp_path: Path, zerodrift: Command, quick_verify: None
 ) -> None:
@@ -174,6 +175,7 @@ def test_an_unknown_file_beside_the_c_is_asked_about(tmp_path: Path, zerodrift: 
     assert_one_message(zerodrift("verify", "-C", folder), 2, "C that differs", "--trust")
 
 
+@pytest.mark.long
 def test_what_firmware_wrote_is_known_to_a_later_version(
     tmp_path: Path, zerodrift: Command, quick_verify: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -43,7 +43,10 @@ def make(name: str) -> IntegerModel:
     return replace(model, tare=True, guarded=bool(guarded))
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(
+    scope="module",
+    params=[NAMES[0], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[1:])],
+)
 def host(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> HostModel:
     """A model with a tare on this machine."""
     model = make(request.param)
@@ -166,7 +169,7 @@ def test_an_emulated_core_does_the_same(core: str, tmp_path: Path) -> None:
     assert (flags == expected.flags[0]).all()
 
 
-@pytest.mark.spread(1, "name", NAMES)
+@pytest.mark.spread(0, "name", NAMES)
 def test_certificate_holds_and_the_c_is_proven(name: str) -> None:
     model = make(name)
     code = generate(model)

@@ -157,7 +157,7 @@ def stop_after(epochs: int):
 
 
 @pytest.mark.parametrize(("kind", "memory"), [("gru", "stream"), ("gru", 5), ("mlp", "stream")])
-@pytest.mark.parametrize("epochs", [3, 9])
+@pytest.mark.spread(1, "epochs", [3, 9])
 def test_interrupted_training_of_many_goes_on_to_the_same_bits(
     kind, memory, epochs, tmp_path, monkeypatch
 ):

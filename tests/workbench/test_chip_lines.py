@@ -60,6 +60,7 @@ def write_rows(seconds, interval_s):
     return "".join(f"{t:.6f},{25 + 0.1 * t:.6f},{3 + 0.01 * t:.6f},4\n" for t in times)
 
 
+@pytest.mark.long
 def test_faster_rows_become_the_means_of_logs(chip):
     lines = LiveChip(chip.place.directory, chip.place.chip_folder)
     told = lines.take(f"{HEADER}\n{write_rows(20, 0.1)}")
