@@ -106,7 +106,7 @@ test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log
 # Folders and files in which another version of Python or of a library shows first.
 FIRST := tests/config tests/twin tests/frozen tests/fixed_point/test_model_files.py tests/dataset \
   tests/main_job tests/physics tests/face tests/apply
-VERSIONS := -q -n $(if $(SHORT),1,2) -m "not slow and not long and not board" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
+VERSIONS := -q -n $(if $(SHORT),1,2) -m "not slow and not board$(if $(SHORT),, and not long)" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
 
 test-newest: ## the tests, boards and browser left out, on Debian's newest Python and the newest libraries (SHORT=1)
 	.ci/test-newest $(VERSIONS)
