@@ -407,7 +407,7 @@ LSTM_FAULTS: dict[str, tuple[str, str]] = {
 """What is wrong with an LSTM's assembly or its weights -> (pattern, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", LSTM_FAULTS)
+@pytest.mark.spread(3, "fault", LSTM_FAULTS)
 def test_a_fault_in_the_lstm_s_assembly_is_noticed(fault: str) -> None:
     assert check_edited(LSTM, C, *LSTM_FAULTS[fault]), f"not noticed: {fault}"
 
@@ -493,7 +493,7 @@ FURTHER_FAULTS: dict[str, tuple[Shape, str, str]] = {
 """What is wrong with further assembly -> (shape, pattern, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", FURTHER_FAULTS)
+@pytest.mark.spread(6, "fault", FURTHER_FAULTS)
 def test_a_fault_in_further_assembly_is_noticed(fault: str) -> None:
     shape, pattern, becomes = FURTHER_FAULTS[fault]
     assert check_edited(shape, C, pattern, becomes), f"not noticed: {fault}"

@@ -22,7 +22,7 @@ needs_sanitizers = pytest.mark.skipif(
 @needs_sanitizers
 @pytest.mark.parametrize("target", build.TARGETS)
 @pytest.mark.spread(
-    3,
+    1,
     "name",
     [pytest.param(n, marks=pytest.mark.slow if n == "windowed" else ()) for n in build.MODELS],
 )

@@ -85,7 +85,7 @@ def test_what_stands_in_no_catalogue_is_hidden_at_its_size(name, seed) -> None:
     assert truth.sizes[name].train == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("seed", range(40, 64))
+@pytest.mark.spread(4, "seed", range(40, 64))
 def test_a_complete_model_lacks_nothing(seed) -> None:
     case = draw_case(seed, runs=2 + seed % 6)
     assert case.truth.name is None
