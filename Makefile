@@ -14,6 +14,8 @@ CMAKE = $(if $(HOST_CC),,CC="$(abspath $(RUN)) -m ziglang cc") $(VENV)/bin/cmake
   -DCMAKE_MAKE_PROGRAM=$(abspath $(VENV))/bin/ninja
 # PyTorch with two threads is a hundred times slower on such small networks than with one.
 export OMP_NUM_THREADS ?= 1
+# Without byte code each process of the tests compiles all modules again, and rewrites every assert.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: same-as setup-newest test-newest test-oldest lock setup-frama-c frama-c test-long setup-peers setup-record readme-picture bench-numbers test-faults setup-formats mutated-logs test-worlds test-wheel bench-paper bench-foreign setup-browser test-browser tutorial help setup setup-qemu setup-fuzz test-boards flash-image fuzz check format schemas test test-all firmware-model golden sizes bench bench-hidden c-test docs demo clean
 
@@ -80,10 +82,10 @@ flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M
 	@test -f $(SENSOR)/build/model.json || $(MAKE) --no-print-directory firmware-model
 	$(RUN) examples/firmware/build.py $(SENSOR)
 
-test: $(READY) ## the tests (six to eleven minutes on two cores)
+test: $(READY) ## what is run before each commit: each module's behaviour, golden bytes, the loop (minutes)
 	$(RUN) -m pytest -q -n 2 -m "not slow and not long" tests
 
-test-long: $(READY) ## the few hundred tests that take longest, which `make test` leaves out; CI runs both
+test-long: $(READY) ## what `make test` leaves out, but for the proofs marked slow; CI runs both
 	$(RUN) -m pytest -q -n 2 -m "long and not slow" tests
 
 same-as: $(READY) ## what this tree does held against another tree, byte for byte (OLD=PATH, with its own .venv)
@@ -104,7 +106,7 @@ test-wheel: $(READY) ## build the wheel, install it elsewhere, and go from a log
 # Folders and files in which another version of Python or of a library shows first.
 FIRST := tests/config tests/twin tests/frozen tests/fixed_point/test_model_files.py tests/dataset \
   tests/main_job tests/physics tests/face tests/apply
-VERSIONS := -q -n $(if $(SHORT),1,2) -m "not slow and not long and not board" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
+VERSIONS := -q -n $(if $(SHORT),1,2) -m "not slow and not board$(if $(SHORT),, and not long)" $(if $(SHORT),$(FIRST),--ignore=tests/chips tests)
 
 test-newest: ## the tests, boards and browser left out, on Debian's newest Python and the newest libraries (SHORT=1)
 	.ci/test-newest $(VERSIONS)
@@ -112,7 +114,7 @@ test-newest: ## the tests, boards and browser left out, on Debian's newest Pytho
 test-oldest: ## the same on Python 3.11 and the lowest versions that pyproject.toml allows (SHORT=1)
 	.ci/test-oldest $(VERSIONS)
 
-test-all: $(READY) ## every test, the long proofs included
+test-all: $(READY) ## every test: test, test-long and the proofs marked slow
 	$(RUN) -m pytest -q -n 2 tests
 
 check: $(READY) ## formatting, lint, types, C format and static analysis

@@ -4,7 +4,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -17,15 +16,20 @@ use_one_thread()
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy")
 
-LONG = frozenset((Path(__file__).parent / "long.txt").read_text(encoding="utf-8").splitlines())
-"""Names of the tests that take longest; `python -m pytest --durations=0` tells."""
+PARAM = type(pytest.param())
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `make test` leaves to `make test-long`."""
-    for item in items:
-        if item.nodeid in LONG:
-            item.add_marker(pytest.mark.long)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Parametrize by `spread(SHORT, NAMES, CASES)`: all but SHORT cases, spread, are long."""
+    for mark in metafunc.definition.iter_markers("spread"):
+        short, names, cases = mark.args
+        alone = isinstance(names, str) and "," not in names
+        sets = [c if isinstance(c, PARAM) else pytest.param(*([c] if alone else c)) for c in cases]
+        free = [i for i, case in enumerate(sets) if not case.marks]
+        kept = {free[i * len(free) // short] for i in range(short) if free}
+        for i in set(free) - kept:
+            sets[i] = pytest.param(*sets[i].values, marks=pytest.mark.long, id=sets[i].id)
+        metafunc.parametrize(names, sets, **mark.kwargs)
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,7 @@ full_scale = 14
 
 
 def render_toml(
-    rest: str,
-    name: str = "ft40",
-    period_s: float = 1.0,
-    outputs: tuple[str, ...] = (FORCE, MOMENT),
+    rest: str, name: str = "ft40", period_s: float = 1.0, outputs: tuple[str, ...] = (FORCE, MOMENT)
 ) -> str:
     """Return `[sensor]`, the outputs' tables, and the rest, which begins with `[logs]`, say."""
     return SENSOR.format(name=name, period_s=period_s) + "".join(outputs) + "\n" + rest

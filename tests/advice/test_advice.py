@@ -14,7 +14,7 @@ def named(advice):
 
 
 @pytest.mark.parametrize("seed", [10, 11, 12])
-@pytest.mark.parametrize("tau_s", [60.0, 150.0])
+@pytest.mark.spread(2, "tau_s", [60.0, 150.0])
 def test_a_hidden_lag_is_found_and_its_time_constant_bounded(ask, seed, tau_s):
     advice = ask(hidden=lag(tau_s), seed=seed)
     slowest = max(advice.time_constants, key=lambda t: t.tau_s)
@@ -85,7 +85,7 @@ def test_spacing_of_windows_is_that_of_training():
     assert SPACING_S == TRAINED
 
 
-@pytest.mark.parametrize("seed", [20, 21, 22])
+@pytest.mark.spread(1, "seed", [20, 21, 22])
 def test_chamber_logs_of_a_plain_lag_show_one_heat_path(ask, seed):
     assert ask(seed=seed).heat == "one"
     assert ask(hidden=lag(20.0), seed=seed).heat == "one"

@@ -209,6 +209,7 @@ def refuse(project: Path, *arguments: object) -> str:
     return str(result.exception)
 
 
+@pytest.mark.long
 def test_what_cannot_be_is_refused(built: Path, tmp_path: Path) -> None:
     log = Path(shutil.copy(built / "logs/run3.csv", tmp_path / "log.csv"))
     out = tmp_path / "out.csv"

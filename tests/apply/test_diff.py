@@ -40,6 +40,7 @@ def test_a_model_is_the_same_as_itself(built: Path) -> None:
     assert told["outputs"]["y"]["largest"] == 0.0
 
 
+@pytest.mark.long
 def test_what_changed_is_named(built: Path, other: Path) -> None:
     told = json.loads(diff(built, other, "--json").stdout)
     changed = {change["what"]: change for change in told["changes"]}
@@ -95,6 +96,7 @@ def take_away(project: Path, place: Path) -> Path:
     return Path(shutil.copytree(project / "firmware", place / "firmware"))
 
 
+@pytest.mark.long
 def test_two_firmware_folders_suffice(built: Path, other: Path, tmp_path: Path) -> None:
     """What is said of the folders alone is what is said of the projects."""
     old, new = take_away(built, tmp_path / "old"), take_away(other, tmp_path / "new")
@@ -107,6 +109,7 @@ def test_two_firmware_folders_suffice(built: Path, other: Path, tmp_path: Path) 
     assert same["same"] and same["changes"] == []
 
 
+@pytest.mark.long
 def test_folders_alone_read_logs_by_a_project_that_is_named(
     built: Path, other: Path, tmp_path: Path
 ) -> None:

@@ -24,6 +24,8 @@ from zerodrift.train.training import train
 from zerodrift.verify.left_out import LeftOut, leave_out, leave_out_together
 from zerodrift.verify.uncertainty import Uncertainty
 
+pytestmark = pytest.mark.long
+
 SMALL = "hidden = 4\nepochs = 12\nstarts = 1\n"
 
 

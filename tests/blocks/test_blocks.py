@@ -81,6 +81,7 @@ def test_the_loop_over_outputs_gives_the_same_bits(tmp_path: Path) -> None:
         assert check_host(host, codes, settled=settled % 2 == 0).mismatch is None
 
 
+@pytest.mark.long
 def test_the_common_format_costs_next_to_nothing(tmp_path: Path) -> None:
     design = find_design(network=True)
     for seed in SEEDS:
@@ -91,6 +92,7 @@ def test_the_common_format_costs_next_to_nothing(tmp_path: Path) -> None:
         assert np.abs(drifts[0].astype(np.int64) - drifts[1]).max() <= 3  # 3e-4 N of 200 N
 
 
+@pytest.mark.long
 def test_any_admissible_block_computes_what_the_reference_does(tmp_path: Path) -> None:
     design, host = find_design(network=True), build(True, tmp_path)
     told = read_design(design.to_text())

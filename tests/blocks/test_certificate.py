@@ -29,7 +29,7 @@ def derive_again(change=lambda text: text, network: bool = True) -> CertificateO
     return compare(told, texts)
 
 
-@pytest.mark.parametrize("network", [False, True])
+@pytest.mark.spread(1, "network", [False, True])
 def test_it_holds(network: bool) -> None:
     outcome = derive_again(network=network)
     assert outcome.understood and not outcome.failures
@@ -57,7 +57,8 @@ def swap(pattern: str, to: str):
     return change
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    3,
     "change",
     [
         swap(r"(within_i32\(b->drift_coefficients, \d+u, )-\d+", r"\g<1>-5"),

@@ -21,6 +21,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_firmware_and_verify(folder: Path, zerodrift) -> None:
     built = zerodrift("firmware", "-C", folder, "--json")
     assert built.code == 0, built.err
@@ -37,6 +38,7 @@ def test_firmware_and_verify(folder: Path, zerodrift) -> None:
     assert refused.code == 2 and "block" in refused.err
 
 
+@pytest.mark.long
 def test_a_recalibration_changes_the_block_alone(folder: Path, zerodrift) -> None:
     assert zerodrift("firmware", "-C", folder).code == 0
     out, toml = folder / "firmware", folder / "zerodrift.toml"
@@ -56,6 +58,7 @@ def test_a_recalibration_changes_the_block_alone(folder: Path, zerodrift) -> Non
     assert told.code == 1 and "block.bin" in told.err
 
 
+@pytest.mark.long
 def test_constants_again_leave_no_block_behind(folder: Path, zerodrift) -> None:
     assert zerodrift("firmware", "-C", folder).code == 0
     toml = folder / "zerodrift.toml"

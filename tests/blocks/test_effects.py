@@ -72,6 +72,7 @@ def test_one_program_computes_what_each_units_reference_does(tmp_path: Path) -> 
             assert check.mismatch is None, check.mismatch
 
 
+@pytest.mark.long
 def test_the_common_format_costs_next_to_nothing() -> None:
     design = find_design()
     for own in list_units():
@@ -80,7 +81,7 @@ def test_the_common_format_costs_next_to_nothing() -> None:
         assert np.abs(drifts[0].astype(np.int64) - drifts[1]).max() <= 3  # 3e-4 N of 200 N
 
 
-@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
+@pytest.mark.spread(0, "core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
 def test_cores_give_the_references_bits(core: str, tmp_path: Path) -> None:
     if any(importlib.util.find_spec(name) is None for name in ("unicorn", "ziglang")):
         pytest.skip("emulation needs the unicorn and ziglang wheels")
@@ -168,12 +169,14 @@ def derive_again(pattern: str = "", to: str = "") -> CertificateOutcome:
     return compare(told, texts)
 
 
+@pytest.mark.long
 def test_the_certificate_holds_of_every_block() -> None:
     outcome = derive_again()
     assert outcome.understood and not outcome.failures
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("pattern", "to"),
     [
         (r"(within_i32\(&b->play_\d+_half_width, 1u, )\d+", r"\g<1>-1"),

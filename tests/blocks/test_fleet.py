@@ -18,6 +18,8 @@ from zerodrift.dataset.runs import Dataset
 from zerodrift.fleet import block_work, work
 from zerodrift.fleet.work import RANDOM_STEPS, Spooled, spool
 
+pytestmark = pytest.mark.long
+
 BLOCK = '\n[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n'
 
 
@@ -69,6 +71,7 @@ def test_one_program_and_a_block_per_unit(fleet: Path, zerodrift) -> None:
     assert load_design(design).identity == told["blocks"]["design"]
 
 
+@pytest.mark.long
 def test_the_certificate_is_that_of_the_one_program_alone(
     fleet: Path, zerodrift, monkeypatch
 ) -> None:

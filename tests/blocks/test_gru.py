@@ -61,6 +61,7 @@ def require_bits(host: HostModel, model: IntegerModel, steps: int) -> None:
         assert check.mismatch is None, check.mismatch
 
 
+@pytest.mark.long
 def test_one_program_computes_what_each_units_reference_does(tmp_path: Path) -> None:
     design = find_design()
     host = HostModel(design.model, find_code(), tmp_path)
@@ -74,6 +75,7 @@ def test_one_program_computes_what_each_units_reference_does(tmp_path: Path) -> 
         require_bits(host, model, 500)
 
 
+@pytest.mark.long
 def test_every_layout_gives_the_same_bits(tmp_path: Path) -> None:
     design = find_design()
     model = design.fit(list_units()[1])
@@ -97,6 +99,7 @@ def test_a_window_takes_the_block_too(tmp_path: Path) -> None:
     require_bits(host, model, 200)
 
 
+@pytest.mark.long
 def test_any_admissible_block_computes_what_the_reference_does(tmp_path: Path) -> None:
     design = find_design()
     host = HostModel(design.model, find_code(), tmp_path)
@@ -209,7 +212,8 @@ def test_the_certificate_holds_of_every_block() -> None:
     assert outcome.holds > 4 * HIDDEN + len(find_design().fields)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    3,
     ("pattern", "to"),
     [
         (r"    within &= cell_gru_within.*\n", ""),

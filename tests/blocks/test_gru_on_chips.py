@@ -19,7 +19,8 @@ if any(importlib.util.find_spec(name) is None for name in ("unicorn", "ziglang")
 from zerodrift.c_runtime.emulator import EmulatedModel
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("core", "flags"),
     [(core, ("-O2",)) for core in CORES]
     + [("cortex-m4", ("-Os",)), ("cortex-m4", ("-O2", "-DZD_NO_ASSEMBLY"))]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tests.blocks.units import LSB_K, describe_unit, make_unit
 from zerodrift.blocks.design import make_design
@@ -36,6 +37,7 @@ def measure(model: IntegerModel, own: IntegerModel, codes: np.ndarray) -> float:
     return float(np.sqrt(np.mean((states[0] - states[1]) ** 2)))
 
 
+@pytest.mark.long
 def test_a_design_keeps_states_nearer_than_rounding_each_weight_does() -> None:
     units = [make_unit(seed, outputs=2, hidden=8) for seed in range(40, 46)]
     design = make_design(units)

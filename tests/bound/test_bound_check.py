@@ -32,7 +32,7 @@ def _copy(told: Mapping[str, Any]) -> Told:
     return copied
 
 
-@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.spread(1, "number", NUMBERS)
 def test_the_bound_is_confirmed_and_any_smaller_one_refused(number: int) -> None:
     told, texts = _certify(number)
     outcome = compare(told, texts)
@@ -42,6 +42,7 @@ def test_the_bound_is_confirmed_and_any_smaller_one_refused(number: int) -> None
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
+@pytest.mark.long
 def test_a_change_of_a_parameter_of_the_float_model_is_noticed() -> None:
     """One number of the float model in a thousandth, one at a time."""
     noticed = tried = 0
@@ -63,6 +64,7 @@ def test_a_change_of_a_parameter_of_the_float_model_is_noticed() -> None:
     assert noticed >= 0.7 * tried
 
 
+@pytest.mark.long
 def test_a_change_of_a_number_in_the_c_is_noticed() -> None:
     told, texts = _certify(0)
     name = next(name for name in texts if name.endswith(".c") and not name.startswith("zd_"))

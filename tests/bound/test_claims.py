@@ -9,6 +9,7 @@ from zerodrift.operations.errors import CAUSES
 PAGE = (ROOT / "SOUNDNESS.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_the_table_on_the_page_is_what_the_code_says() -> None:
     _, _, rest = PAGE.partition(claims.BEGIN)
     table, found, _ = rest.partition(claims.END)

@@ -84,7 +84,7 @@ def certify_case(case: str) -> tuple[Told, dict[str, str]]:
     return json.loads(certify(model, code, bound)), list_texts(code)
 
 
-@pytest.mark.parametrize("case", [*SINGLE, *SUMS])
+@pytest.mark.spread(1, "case", [*SINGLE, *SUMS])
 def test_the_bound_with_its_conversion_is_confirmed_and_a_smaller_one_refused(case: str) -> None:
     told, texts = certify_case(case)
     outcome = compare(told, texts)
@@ -95,7 +95,7 @@ def test_the_bound_with_its_conversion_is_confirmed_and_a_smaller_one_refused(ca
     assert any("an error of at most" in text for text in compare(told, texts).failures)
 
 
-@pytest.mark.parametrize("case", [*SINGLE, *SUMS])
+@pytest.mark.spread(2, "case", [*SINGLE, *SUMS])
 def test_no_code_is_further_off_than_the_bound(case: str) -> None:
     model, bound = make_case(case)
     by = model.channels[0].conversion
@@ -138,7 +138,7 @@ def change(texts: dict[str, str], told: Told, old: str, new: str) -> tuple[Told,
     return claims, {**texts, name: changed}
 
 
-@pytest.mark.parametrize("case", ["code: ntc", "code: ntc of 24 bits", "couple: K"])
+@pytest.mark.spread(0, "case", ["code: ntc", "code: ntc of 24 bits", "couple: K"])
 def test_a_table_that_is_a_little_off_is_found(case: str) -> None:
     """A node by a count and a half, which the checksum of the tables would tell too."""
     model, _ = make_case(case)
@@ -165,7 +165,8 @@ def test_a_table_that_is_a_little_off_is_found(case: str) -> None:
         nodes.cells[k] = was
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     ("old", "new"),
     [
         ("(conversion_0_at >> 11)", "(conversion_0_at >> 10)"),
@@ -189,7 +190,8 @@ def test_another_way_to_look_up_is_not_believed(old: str, new: str) -> None:
     assert outcome.failures or not outcome.understood
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     ("case", "edit"),
     [
         ("code: ntc", {"beta_K": 3951.0}),

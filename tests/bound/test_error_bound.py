@@ -46,6 +46,7 @@ def _hold(numbers: range) -> int:
     return held
 
 
+@pytest.mark.long
 def test_no_drawn_input_exceeds_the_bound() -> None:
     assert _hold(range(10)) > 15
 
@@ -62,6 +63,7 @@ def test_the_table_of_tanh_is_as_far_from_tanh_as_is_claimed_and_no_further() ->
     assert worst <= float(bound_tanh()) <= worst + 1e-3
 
 
+@pytest.mark.long
 def test_octaves_are_within_what_is_claimed() -> None:
     f = np.arange(0, 1 << 31, 4099, dtype=np.int64)
     x = f.astype(np.longdouble) * np.longdouble(2.0**-31)

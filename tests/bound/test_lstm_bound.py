@@ -55,6 +55,7 @@ def _hold(kinds: tuple[Forgetful, ...]) -> None:
         assert (10.0**3 * np.array(measure_lstm(kind)) > largest).all(), kind
 
 
+@pytest.mark.long
 def test_no_drawn_input_exceeds_the_bound_of_an_lstm() -> None:
     _hold(KINDS)
 
@@ -64,7 +65,8 @@ def test_no_drawn_input_exceeds_the_bound_of_many_lstms() -> None:
     _hold(MANY)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     ("of_states", "of_forget", "said"),
     [
         (16.0, 0.0, "no contraction is shown"),
@@ -83,13 +85,14 @@ def test_an_lstm_that_does_not_forget_has_no_bound_and_it_is_said_why(
     assert said in bound.why and "no contraction" in bound.why and "contracting = true" in bound.why
 
 
+@pytest.mark.long
 def test_the_rule_is_tight_where_the_candidate_is_most_of_it() -> None:
     bound = make_lstm_probe().bound()
     for of_output, found in zip(bound.outputs, measure_lstm_probe(), strict=True):
         assert found <= round_up(of_output.total) <= 1.25 * found
 
 
-@pytest.mark.parametrize("lacks", FOUND)
+@pytest.mark.spread(0, "lacks", FOUND)
 def test_an_unsound_rule_is_found(lacks: str, monkeypatch: pytest.MonkeyPatch) -> None:
     RULES[lacks](monkeypatch)
     claimed = make_lstm_probe().bound().outputs
@@ -97,7 +100,7 @@ def test_an_unsound_rule_is_found(lacks: str, monkeypatch: pytest.MonkeyPatch) -
     assert any(x > of_output.total for x, of_output in zip(largest, claimed, strict=True))
 
 
-@pytest.mark.parametrize("lacks", RULES)
+@pytest.mark.spread(2, "lacks", RULES)
 def test_what_an_unsound_rule_claims_is_refused_by_the_check(
     lacks: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +111,7 @@ def test_what_an_unsound_rule_claims_is_refused_by_the_check(
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
+@pytest.mark.long
 def test_a_check_that_leaves_parts_out_would_confirm_what_an_input_exceeds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -192,7 +196,7 @@ def test_the_way_to_rest_ends_as_near_as_is_said(kind: Forgetful) -> None:
     assert max(allowed) < 1e-4
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.spread(0, "kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
     told, texts = make_lstm(kind).certify()
     assert not compare(told, texts).failures
@@ -201,6 +205,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
+@pytest.mark.long
 def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
     """One number of a unit a tenth more, in turn: the biases, weights of each gate."""
     told, texts = make_lstm(KINDS[1]).certify()
@@ -216,7 +221,7 @@ def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
     assert noticed >= 0.9 * tried
 
 
-@pytest.mark.parametrize("change", ["operation", "order", "short", "reads"])
+@pytest.mark.spread(1, "change", ["operation", "order", "short", "reads"])
 def test_a_float_layer_that_is_not_the_cs_is_refused(change: str) -> None:
     told, texts = make_lstm(KINDS[1]).certify()
     rows = [line for line in told["float_model"] if line["operation"] == "lstm"]

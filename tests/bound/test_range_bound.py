@@ -54,7 +54,7 @@ WILD: dict[str, Callable[[], Case]] = {
 }
 
 
-@pytest.mark.parametrize("name", WILD)
+@pytest.mark.spread(4, "name", WILD)
 def test_what_lies_within_a_range_is_off_by_no_more(name: str) -> None:
     case = WILD[name]()
     network = case.described.network
@@ -70,7 +70,7 @@ def test_what_lies_within_a_range_is_off_by_no_more(name: str) -> None:
     assert (replace(case, codes=codes).measure() <= told).all()
 
 
-@pytest.mark.parametrize("name", WILD)
+@pytest.mark.spread(1, "name", WILD)
 def test_the_check_derives_it_and_refuses_less(name: str) -> None:
     told, texts = WILD[name]().certify()
     assert not compare(told, texts).failures
@@ -118,7 +118,7 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.spread(1, "change", CHANGES)
 def test_what_is_no_state_of_the_c_is_refused(change: str) -> None:
     told, texts = _make_gru().certify()
     line = next(line for line in told["float_model"] if line["operation"] == "state")

@@ -51,6 +51,7 @@ def _hold(kinds: tuple[Forgetful, ...]) -> None:
         assert (10.0**3 * np.array(measure_recurrent(kind)) > largest).all(), kind
 
 
+@pytest.mark.long
 def test_no_drawn_input_exceeds_the_bound_of_a_gru() -> None:
     _hold(KINDS)
 
@@ -60,7 +61,7 @@ def test_no_drawn_input_exceeds_the_bound_of_many_grus() -> None:
     _hold(MANY)
 
 
-@pytest.mark.parametrize("name", PROBES)
+@pytest.mark.spread(2, "name", PROBES)
 def test_the_rule_is_tight_where_one_part_of_it_shows(name: str) -> None:
     bound = make_probe(name).bound()
     assert bound.outputs, bound.why
@@ -68,7 +69,7 @@ def test_the_rule_is_tight_where_one_part_of_it_shows(name: str) -> None:
         assert found <= round_up(error.total) <= 3.5 * found
 
 
-@pytest.mark.parametrize(("lacks", "name"), FOUND)
+@pytest.mark.spread(6, ("lacks", "name"), FOUND)
 def test_an_unsound_rule_is_found(lacks: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     RULES[lacks](monkeypatch)
     claimed = make_probe(name).bound().outputs
@@ -112,7 +113,7 @@ def _read_lines() -> tuple[tuple[int, int], ...]:
     return tuple(zip(first.tolist(), last.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.spread(1, "kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
     told, texts = make_recurrent(kind).certify()
     assert not compare(told, texts).failures
@@ -121,6 +122,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
+@pytest.mark.long
 def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
     """One number of each unit a hundredth more, in turn: the biases, a weight of each array."""
     told, texts = make_recurrent(Forgetful(hidden=4, update=-4.0, of_update=0.3)).certify()
@@ -136,7 +138,7 @@ def test_a_change_of_a_weight_of_the_float_layer_is_noticed() -> None:
     assert noticed >= 0.7 * tried
 
 
-@pytest.mark.parametrize("change", ["operation", "order", "short", "reads"])
+@pytest.mark.spread(1, "change", ["operation", "order", "short", "reads"])
 def test_a_float_layer_that_is_not_the_cs_is_refused(change: str) -> None:
     told, texts = make_recurrent(Forgetful(hidden=4, update=-4.0, of_update=0.3)).certify()
     rows = [line for line in told["float_model"] if line["operation"] == "gru_after"]

@@ -50,6 +50,7 @@ def _hold(kinds: tuple[Forgetful, ...]) -> None:
         assert (10.0**3 * found > largest).all(), kind
 
 
+@pytest.mark.long
 def test_no_drawn_input_exceeds_the_bound_of_a_stack() -> None:
     _hold(KINDS)
 
@@ -93,7 +94,7 @@ def test_a_rule_without_the_errors_of_the_layer_below_is_found(
     assert any(most > error.total for most, error in zip(found, case.bound().outputs, strict=True))
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.spread(0, "kind", KINDS, ids=str)
 def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful) -> None:
     told, texts = make_recurrent(kind).certify()
     assert not compare(told, texts).failures
@@ -102,7 +103,7 @@ def test_the_check_confirms_the_bound_and_refuses_a_smaller_one(kind: Forgetful)
     assert len(compare(told, texts).failures) == len(told["error_bound"])
 
 
-@pytest.mark.parametrize("change", ["operation", "order", "short", "reads", "skips", "fine"])
+@pytest.mark.spread(1, "change", ["operation", "order", "short", "reads", "skips", "fine"])
 def test_a_float_stack_that_is_not_the_cs_is_refused(change: str) -> None:
     told, texts = make_recurrent(KINDS[0]).certify()
     lines = told["float_model"]
@@ -126,6 +127,7 @@ def test_a_float_stack_that_is_not_the_cs_is_refused(change: str) -> None:
     assert not compare(told, texts).understood
 
 
+@pytest.mark.long
 def test_a_change_of_a_weight_of_the_lower_layer_is_noticed() -> None:
     told, texts = make_recurrent(
         Forgetful(hidden=4, upper=(3,), update=-4.0, of_update=0.3)

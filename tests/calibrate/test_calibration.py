@@ -301,7 +301,7 @@ def test_header_holds_the_full_scale_of_the_project(tmp_path):
     assert "#define FT_40_CAL_FX_LSB_PER_UNIT 10000 " in text
 
 
-@pytest.mark.parametrize("compiler", find_compilers(), ids=lambda compiler: compiler.name)
+@pytest.mark.spread(1, "compiler", find_compilers(), ids=lambda compiler: compiler.name)
 def test_header_computes_bit_for_bit_what_its_integers_say(compiler, tmp_path):
     """Compiled on the host, over codes of the whole range, against whole numbers in Python."""
     codes, loads, _ = make(noise=2.0)

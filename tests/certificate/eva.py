@@ -214,11 +214,7 @@ def _name_of(code: GeneratedCode, name: str) -> str:
 
 
 def _run(
-    code: GeneratedCode,
-    driver: str,
-    folder: Path,
-    specified: tuple[str, ...],
-    wanted: list[str],
+    code: GeneratedCode, driver: str, folder: Path, specified: tuple[str, ...], wanted: list[str]
 ) -> EvaResult:
     path = find_frama_c()
     if path is None:

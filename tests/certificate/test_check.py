@@ -81,9 +81,8 @@ def find_fault(claims: dict[str, Any], texts: dict[str, str]) -> list[str]:
     return list(next(found, ()))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES],
+@pytest.mark.spread(
+    1, "name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in CASES]
 )
 def test_every_claim_of_the_golden_models_holds(name: str) -> None:
     certificate, texts = build_files(draw_model(CASES[name].shape, sum(name.encode())))
@@ -93,6 +92,7 @@ def test_every_claim_of_the_golden_models_holds(name: str) -> None:
     assert outcome.holds == count_claims(claims)
 
 
+@pytest.mark.long
 @settings(
     max_examples=8,
     deadline=None,
@@ -112,8 +112,11 @@ def test_checker_derives_the_prover_s_bounds_exactly(shape: Shape, seed: int) ->
 
 
 @pytest.mark.parametrize("side", ["low", "high"])
-@pytest.mark.parametrize(
-    "shape", [FULL, Shape(weights="int8", reset="before", hidden=3, window=4)], ids=["full", "int8"]
+@pytest.mark.spread(
+    1,
+    "shape",
+    [FULL, Shape(weights="int8", reset="before", hidden=3, window=4)],
+    ids=["full", "int8"],
 )
 def test_any_bound_lowered_by_one_is_refused(shape: Shape, side: str) -> None:
     certificate, texts = build(shape)
@@ -141,7 +144,7 @@ def test_any_shift_or_table_claimed_otherwise_is_refused() -> None:
         assert any(left_out["where"] in failure for failure in judge(claims, machine)[1])
 
 
-@pytest.mark.parametrize("name", ["golden.c", "golden.h", "zd_runtime.c", "zd_runtime.h"])
+@pytest.mark.spread(2, "name", ["golden.c", "golden.h", "zd_runtime.c", "zd_runtime.h"])
 def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
     certificate, texts = build(FULL)
     for at in range(0, len(texts[name]), len(texts[name]) // 7):
@@ -151,7 +154,8 @@ def test_any_other_byte_is_noticed_by_the_hash(name: str) -> None:
         assert any("its hash is" in failure for failure in of_files.failures)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     "table",
     [
         "gru_w_x",
@@ -181,7 +185,7 @@ def test_any_weight_farther_from_zero_breaks_its_claim(table: str) -> None:
             assert bool(beyond) is expect, (table, place, beyond)
 
 
-@pytest.mark.parametrize("kernel", ["PAIRS", "ROWS", "COLUMNS"])
+@pytest.mark.spread(0, "kernel", ["PAIRS", "ROWS", "COLUMNS"])
 def test_every_kernel_s_own_table_is_checked(kernel: str) -> None:
     """A kernel that reads its weights in another order has them in a table of its own."""
     certificate, texts = build(Shape(inputs=3, hidden=5))
@@ -321,7 +325,7 @@ FAULTS = {
 """What is wrong -> (file, pattern, what it becomes); hashes are corrected after each."""
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.spread(7, "fault", FAULTS)
 def test_derivation_notices_a_planted_fault(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     name, pattern, becomes = FAULTS[fault]
     if name == TABLE or "invariant" in fault:  # not by the runtime's hash alone
@@ -403,7 +407,7 @@ LSTM_FAULTS: dict[str, tuple[str, str]] = {
 """What is wrong with an LSTM's assembly or its weights -> (pattern, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", LSTM_FAULTS)
+@pytest.mark.spread(3, "fault", LSTM_FAULTS)
 def test_a_fault_in_the_lstm_s_assembly_is_noticed(fault: str) -> None:
     assert check_edited(LSTM, C, *LSTM_FAULTS[fault]), f"not noticed: {fault}"
 
@@ -489,7 +493,7 @@ FURTHER_FAULTS: dict[str, tuple[Shape, str, str]] = {
 """What is wrong with further assembly -> (shape, pattern, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", FURTHER_FAULTS)
+@pytest.mark.spread(6, "fault", FURTHER_FAULTS)
 def test_a_fault_in_further_assembly_is_noticed(fault: str) -> None:
     shape, pattern, becomes = FURTHER_FAULTS[fault]
     assert check_edited(shape, C, pattern, becomes), f"not noticed: {fault}"

@@ -27,6 +27,8 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.verify.chip_error import measure_budget
 from zerodrift_proof.certificate.check import compare
 
+pytestmark = pytest.mark.long
+
 WITH = (EffectConfig("zero_tempco", {"order": 2}), EffectConfig("dark_current"))
 VARIANTS = [(kind, dict(v)) for kind, effect in load_catalogue().items() for v in effect.variants]
 

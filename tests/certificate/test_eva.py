@@ -12,6 +12,8 @@ from zerodrift.c_runtime.host import render_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.model_files import load_model
 
+pytestmark = pytest.mark.long
+
 GOLDEN = Path(__file__).parents[1] / "golden"
 needs_frama_c = pytest.mark.skipif(
     find_frama_c() is None, reason="frama-c is not installed: make setup-frama-c"

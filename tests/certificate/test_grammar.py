@@ -114,19 +114,19 @@ def make_code(kind: str) -> GeneratedCode:
     return generate(units[0]) if kind == "tare" else generate_design(make_design(units))
 
 
-@pytest.mark.parametrize("kind", ["thermocouple", "guarded", "asleep", "tare", "block"])
+@pytest.mark.spread(2, "kind", ["thermocouple", "guarded", "asleep", "tare", "block"])
 def test_every_kind_of_model_is_read(kind: str) -> None:
     code = make_code(kind)
     assert read_models(list_texts(code), code.prefix)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.spread(5, "case", CASES)
 def test_every_golden_model_is_read(case: str) -> None:
     code = generate(load_model(GOLDEN / f"{case}.model.json"))
     assert read_models(list_texts(code), code.prefix)
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.spread(2, "number", range(6))
 def test_drawn_models_are_read(number: int) -> None:
     code = generate(draw_case(5, number).model)
     assert read_models(list_texts(code), code.prefix)

@@ -103,14 +103,14 @@ def build_guarded(name: str, guarded: bool = True) -> tuple[str, dict[str, str]]
         return build_files(replace(draw_model(SHAPES[name], 31), guarded=guarded))
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.spread(2, "name", SHAPES)
 def test_guarded_code_is_understood_and_holds(name: str) -> None:
     certificate, texts = build_guarded(name)
     assert json.loads(certificate)["checksum"] == "check"
     assert compare(json.loads(certificate), texts).failures == ()
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.spread(8, "fault", FAULTS)
 def test_fault_in_the_guard_is_noticed(fault: str) -> None:
     name, file, pattern, becomes = FAULTS[fault]
     certificate, texts = build_guarded(name)
@@ -131,6 +131,7 @@ def test_guard_is_claimed_where_there_is_one(guarded: bool) -> None:
     assert any("checksum" in failure for failure in find_fault(claims, texts))
 
 
+@pytest.mark.long
 def test_claimed_inputs_are_those_of_the_header() -> None:
     certificate, texts = build_guarded("stream", guarded=False)
     claims = json.loads(certificate)

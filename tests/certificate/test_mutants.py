@@ -29,6 +29,8 @@ from zerodrift.verify.certificate import certify
 from zerodrift.verify.vectors import draw_sequences
 from zerodrift_proof.certificate.check import judge_each
 
+pytestmark = pytest.mark.long
+
 SHAPE = Shape(
     inputs=3,
     hidden=4,

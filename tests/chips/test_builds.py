@@ -43,7 +43,7 @@ def write_model(
 
 
 @pytest.mark.parametrize("size", [pytest.param("-O2", marks=pytest.mark.slow), "-Os"])
-@pytest.mark.parametrize(("core", "compiler"), CROSS)
+@pytest.mark.spread(4, ("core", "compiler"), CROSS)
 def test_every_warning_is_an_error_on_every_core(
     core: str, compiler: Compiler, size: str, tmp_path: Path
 ) -> None:
@@ -92,7 +92,7 @@ def test_links_with_link_time_optimisation(core: str, call: str, size: str, tmp_
     assert list_undefined(found[0], (*flags, "--specs=nosys.specs"), sources) == []
 
 
-@pytest.mark.parametrize("compiler", find_compilers(), ids=lambda compiler: compiler.name)
+@pytest.mark.spread(1, "compiler", find_compilers(), ids=lambda compiler: compiler.name)
 def test_two_designs_link_into_one_firmware(compiler: Compiler, tmp_path: Path) -> None:
     """Each with the runtime that lies beside it."""
     names = ("first", "second", "third")
@@ -108,7 +108,7 @@ def test_two_designs_link_into_one_firmware(compiler: Compiler, tmp_path: Path) 
     assert subprocess.run([f"{tmp_path}/main"], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("compiler", find_compilers(), ids=lambda compiler: compiler.name)
+@pytest.mark.spread(1, "compiler", find_compilers(), ids=lambda compiler: compiler.name)
 def test_two_units_of_a_design_with_prefixes_link(compiler: Compiler, tmp_path: Path) -> None:
     """In one folder with one runtime; without prefixes they have the same names."""
     for unit, seed in (("Left arm", 1), ("right-arm", 2)):
@@ -123,6 +123,7 @@ def test_two_units_of_a_design_with_prefixes_link(compiler: Compiler, tmp_path: 
     assert subprocess.run([f"{tmp_path}/main"], check=False).returncode == 0
 
 
+@pytest.mark.long
 def test_two_versions_of_the_runtime_link_into_one_firmware(tmp_path: Path) -> None:
     """Neither takes the other's functions and tables, though they have the same names in the C."""
     for name in ("old", "young"):
@@ -140,7 +141,7 @@ def test_two_versions_of_the_runtime_link_into_one_firmware(tmp_path: Path) -> N
     assert subprocess.run([f"{tmp_path}/main"], check=False).returncode == 2
 
 
-@pytest.mark.parametrize("name", ["golden.h", "golden.c", *(path.name for path in RUNTIME_FILES)])
+@pytest.mark.spread(3, "name", ["golden.h", "golden.c", *(path.name for path in RUNTIME_FILES)])
 def test_a_file_of_another_set_does_not_compile(name: str, tmp_path: Path) -> None:
     """As after a copy that was interrupted: one file is still the old one."""
     code = generate(draw_model(NETWORK, 5))

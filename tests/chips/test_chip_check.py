@@ -12,6 +12,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.verify.chip_check import check_chip
 
+pytestmark = pytest.mark.long
+
 if importlib.util.find_spec("unicorn") is None:
     pytest.skip("emulation needs the unicorn wheel", allow_module_level=True)
 

@@ -57,7 +57,7 @@ def build(model: IntegerModel, folder: Path, flags: tuple[str, ...]) -> tuple[ct
     return loaded, _texts(loaded)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.spread(2, "name", CASES)
 def test_any_number_of_any_table_changed_is_noticed(name: str, tmp_path: Path) -> None:
     shape, flags = CASES[name]
     if name == "columns, AVX2" and "avx2" not in Path("/proc/cpuinfo").read_text():

@@ -18,6 +18,8 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 needs_cantools = pytest.mark.skipif(
     importlib.util.find_spec("cantools") is None, reason="needs cantools: pip install cantools"

@@ -81,7 +81,7 @@ def test_without_the_guard_flips_go_unnoticed(tmp_path: Path) -> None:
     assert wrong > 50
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.spread(1, "name", SHAPES)
 def test_guarded_code_is_bit_exact_certified_and_saves(name: str, tmp_path: Path) -> None:
     model = draw_guarded(name)
     code = generate(model)
@@ -100,7 +100,7 @@ def test_guarded_code_is_bit_exact_certified_and_saves(name: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("compiler", find_cross_compilers("cortex-m4"), ids=lambda c: c.name)
-@pytest.mark.parametrize("name", ["effects", "windowed"])
+@pytest.mark.spread(1, "name", ["effects", "windowed"])
 def test_a_word_of_state_costs_four_instructions(name: str, compiler: Compiler) -> None:
     """Compiled for size, where compilers keep loops and calls."""
     pytest.importorskip("unicorn", reason="emulation needs the unicorn wheel")

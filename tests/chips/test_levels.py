@@ -19,6 +19,8 @@ if importlib.util.find_spec("unicorn") is None:
 
 from zerodrift.c_runtime.emulator import EmulatedModel
 
+pytestmark = pytest.mark.long
+
 FLAGS = (("-O0",), ("-O1",), ("-O2",), ("-O3",), ("-Os",), ("-Os", "-DZD_SMALL"))
 SHAPE = Shape(hidden=11, inputs=3, outputs=2, gain=3.0)
 

@@ -23,9 +23,7 @@ NAMES = ("unit", "main", "harness", "sanitized", "together", "object", "run")
 
 
 @pytest.fixture(scope="module")
-def model_and_codes(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[IntegerModel, np.ndarray]:
+def model_and_codes(tmp_path_factory: pytest.TempPathFactory) -> tuple[IntegerModel, np.ndarray]:
     config = load_config(write_project(tmp_path_factory.mktemp("names") / "project"))
     dataset = load_dataset(config)
     described = describe_compensator(train(config, dataset).compensator, config, dataset.train)
@@ -33,7 +31,7 @@ def model_and_codes(
     return model, encode_inputs(model, dataset.train[0])[:20]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.spread(2, "name", NAMES)
 def test_its_c_compiles_is_measured_and_runs(
     name: str, model_and_codes: tuple[IntegerModel, np.ndarray], tmp_path: Path
 ) -> None:

@@ -12,6 +12,8 @@ from tests.chips.test_packages import MAIN, MODEL, configure, write
 
 from zerodrift.export.reference import Reference
 
+pytestmark = pytest.mark.long
+
 ARDUINO = Path("/usr/share/arduino/hardware/arduino/avr")
 MCU = "atmega2560"
 USER = "cmake_minimum_required(VERSION 3.21)\nproject(user LANGUAGES C)\n"

@@ -22,6 +22,8 @@ from zerodrift.codegen.packages import render_package
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 
+pytestmark = pytest.mark.long
+
 RUNTIME = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
 
 

@@ -17,6 +17,8 @@ from zerodrift.codegen.packages import UNSURE, render_package
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 
+pytestmark = pytest.mark.long
+
 RUNTIME = {path.name: path.read_text(encoding="utf-8") for path in RUNTIME_FILES}
 STAND_IN = Path(__file__).parent / "ros2_stand_in"
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

@@ -61,6 +61,7 @@ def test_every_package_is_whole_and_the_same_each_time(package: Path, tmp_path: 
             assert (again / path.relative_to(package)).read_bytes() == path.read_bytes()
 
 
+@pytest.mark.long
 def test_command_writes_a_package_and_replaces_it(tmp_path: Path) -> None:
     shutil.copy(ROOT / "examples" / "ft40" / "zerodrift.toml", tmp_path)
     missing = CliRunner().invoke(cli, ["package", "cmake", "-C", str(tmp_path)])
@@ -84,6 +85,7 @@ def test_command_writes_a_package_and_replaces_it(tmp_path: Path) -> None:
     assert [path.name for path in place.parent.iterdir()] == ["cmake"]
 
 
+@pytest.mark.long
 def test_package_of_spoilt_or_stale_firmware_is_refused(tmp_path: Path) -> None:
     project = write_firmware(tmp_path / "p")
     (project / "logs" / "test.csv").write_text("")
@@ -95,6 +97,7 @@ def test_package_of_spoilt_or_stale_firmware_is_refused(tmp_path: Path) -> None:
     assert not (project / "firmware" / "packages").exists()
 
 
+@pytest.mark.long
 def test_cmake_package_is_installed_found_and_passes_its_self_test(tmp_path: Path) -> None:
     source = write("cmake", tmp_path)
     configure(source, tmp_path / "build", f"-DCMAKE_INSTALL_PREFIX={tmp_path / 'installed'}")

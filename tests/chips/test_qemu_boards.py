@@ -63,6 +63,7 @@ def test_board_equals_reference_at_every_level(core: str, level: str, tmp_path: 
     compare(core, STREAM, 41, (level,), tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("core", "shape"),
     [

@@ -103,7 +103,7 @@ STREAMED += (("-DZD_KERNEL=3",), ("-mavx2",)) if machine() in ("x86_64", "AMD64"
 
 
 @pytest.mark.parametrize("flags", PORTABLE + STREAMED, ids=" ".join)
-@pytest.mark.parametrize("array", ["w_h", "stream", "weights"])
+@pytest.mark.spread(2, "array", ["w_h", "stream", "weights"])
 def test_selftest_tells_damaged_weights(array: str, flags: tuple[str, ...], tmp_path: Path) -> None:
     if (array == "stream" and flags in PORTABLE) or (array == "w_h" and flags in STREAMED):
         pytest.skip("not an array of this kernel")

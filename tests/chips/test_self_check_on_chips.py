@@ -189,7 +189,7 @@ def test_damaged_state_passes_the_raw_value_once_and_starts_again(device: Device
 
 
 @pytest.mark.parametrize("name", ["ordinary", "effects", "int8_before", "front_end"])
-@pytest.mark.parametrize("core", PLACES[1:])
+@pytest.mark.spread(2, "core", PLACES[1:])
 def test_selftest_finds_a_bit_flipped_in_any_constant(core: str, name: str, tmp_path: Path) -> None:
     """Weights, tables, whatever array lies in the flash of the emulated core."""
     chip = EmulatedModel(model := load(name).model, generate(model), core, tmp_path)

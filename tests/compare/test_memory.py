@@ -29,7 +29,7 @@ def measure_peak_bytes(directory: Path, rows: int, *, test: bool) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("test", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.spread(0, "test", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_row_of_three_columns_takes_no_more_than_the_limit(test: bool, tmp_path: Path) -> None:
     measure_peak_bytes(tmp_path / "first", 1_000, test=test)  # what is imported counts no row
     few, many = (measure_peak_bytes(tmp_path / str(rows), rows, test=test) for rows in ROWS)

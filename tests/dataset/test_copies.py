@@ -146,9 +146,7 @@ def test_three_logs_that_overlap_in_turn_count_every_row_once(folder: Path) -> N
     np.testing.assert_array_equal(np.sort(together), np.sort(rows[:, 2]))
 
 
-def test_overlap_of_an_averaged_log_leaves_no_shared_row_in_the_run_that_ends(
-    folder: Path,
-) -> None:
+def test_overlap_of_an_averaged_log_leaves_no_shared_row_in_the_run_that_ends(folder: Path) -> None:
     rows = write_log(folder / "long.csv", 9, rows=9000)
     (folder / "long.csv").unlink()
     rows[:, 0] = rows[:, 0] * 0.1

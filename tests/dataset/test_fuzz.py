@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -56,6 +57,7 @@ def check(found) -> None:
         assert np.all(np.diff(run.time_s) > 0)
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(
     spoilt=st.dictionaries(st.integers(0, 119), FIELDS, max_size=6),

@@ -34,10 +34,7 @@ def write_logs(folder: Path, head: str, form: str, zone: str = "Europe/Berlin") 
 
 @pytest.mark.parametrize(
     ("head", "form"),
-    [
-        ("Zeit;Temp;HX711", "%d.%m.%Y %H:%M:%S"),
-        ("Date;Time;Temp;HX711", "%d.%m.%Y;%H:%M:%S"),
-    ],
+    [("Zeit;Temp;HX711", "%d.%m.%Y %H:%M:%S"), ("Date;Time;Temp;HX711", "%d.%m.%Y;%H:%M:%S")],
 )
 def test_a_clock_that_is_put_back_gets_a_zone_and_loads(
     head: str, form: str, tmp_path: Path, zerodrift: Command, monkeypatch: pytest.MonkeyPatch

@@ -45,6 +45,7 @@ def export(directory: Path, train: tuple[str, ...]) -> tuple[str, bytes]:
     return found, coefficients
 
 
+@pytest.mark.long
 def test_order_of_train_logs_changes_no_bit_of_the_model(tmp_path: Path) -> None:
     names = ("a.csv", "b.csv", "c.csv")
     for seed, name in enumerate(names):
@@ -54,8 +55,7 @@ def test_order_of_train_logs_changes_no_bit_of_the_model(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    "train",
-    [("b.csv", "a.csv"), ("[b]*.csv", "a*.csv"), ("b.csv@50%:", "b.csv@:50%", "a.csv")],
+    "train", [("b.csv", "a.csv"), ("[b]*.csv", "a*.csv"), ("b.csv@50%:", "b.csv@:50%", "a.csv")]
 )
 def test_order_of_selectors_changes_no_run(tmp_path: Path, train: tuple[str, ...]) -> None:
     for seed, name in enumerate(("a.csv", "b.csv")):

@@ -136,8 +136,7 @@ BERLIN = '{ column = "time_s", zone = "Europe/Berlin" }'
 
 @pytest.mark.parametrize("minutes", [1, 5])
 @pytest.mark.parametrize(
-    "start",
-    [datetime(2024, 10, 26, 23, 10, tzinfo=UTC), datetime(2024, 3, 31, 0, 10, tzinfo=UTC)],
+    "start", [datetime(2024, 10, 26, 23, 10, tzinfo=UTC), datetime(2024, 3, 31, 0, 10, tzinfo=UTC)]
 )
 def test_zone_makes_times_even_over_daylight_saving(project, start, minutes):
     write_log(project, write_berlin(start, minutes, 150))

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from zerodrift.diagnosis.drivers import (
-    DriftDriver,
-    derive,
-    find_stretches,
-    read_driver,
-    suspect,
-)
+from zerodrift.diagnosis.drivers import DriftDriver, derive, find_stretches, read_driver, suspect
 from zerodrift.physics.catalogue import load_catalogue
 
 CHANNELS = ("temperature", "load Fx", "load Fz", "supply", "acceleration_y", "time")

@@ -40,7 +40,7 @@ REWRITTEN = (EffectConfig("zero_tempco", {"order": 2}), EffectConfig("dark_curre
 """What the effects that rewrite the temperature act on."""
 
 
-@pytest.mark.parametrize(("kind", "variant"), CASES)
+@pytest.mark.spread(8, ("kind", "variant"), CASES)
 def test_effect_is_the_same_on_the_chip(
     kind: str, variant: dict[str, float], tmp_path: Path
 ) -> None:
@@ -48,7 +48,7 @@ def test_effect_is_the_same_on_the_chip(
     check([*others, EffectConfig(kind, variant)], tmp_path)
 
 
-@pytest.mark.parametrize("delay_s", [-3.3, 0.25, 7.0, 7.6])
+@pytest.mark.spread(1, "delay_s", [-3.3, 0.25, 7.0, 7.6])
 def test_clock_delay_by_any_time_is_the_same_on_the_chip(delay_s: float, tmp_path: Path) -> None:
     check([*REWRITTEN, EffectConfig("clock_delay", {"delay_s": delay_s})], tmp_path)
 

@@ -30,6 +30,8 @@ from zerodrift.verify.host_check import check_host
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift.verify.vectors import draw_sequences
 
+pytestmark = pytest.mark.long
+
 LARGEST_ERROR_PCT = {"lag_bank": 0.02, "many units": 0.1, "mlp": 0.3, "mlp_seq": 0.3, "tcn": 0.3}
 """Of the drift's RMS; int16 weights and copies of three layers, against powers in 32 bits."""
 LENGTH = 1500

@@ -26,6 +26,8 @@ from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 
+pytestmark = pytest.mark.long
+
 LARGEST_ERROR = 2.0**-21
 """RMS, of signals of a size of 1; gains above 1 on the way magnify it."""
 draws = st.tuples(

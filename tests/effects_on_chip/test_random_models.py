@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+import pytest
 from benchmarks.bench_random import compare, read_journal
+
+pytestmark = pytest.mark.long
 
 
 def test_network_that_sees_nothing_but_time_compiles(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_drawn_cases_are_drawn_over_all_factors() -> None:
 
 
 @pytest.mark.parametrize("noise", ["white", "flicker", "coarse"])
-@pytest.mark.parametrize("simulator", [1, 2, 3])
+@pytest.mark.spread(2, "simulator", [1, 2, 3])
 def test_a_condition_is_what_the_logs_are_like(simulator, noise) -> None:
     logs = Condition(4, 4, dwell=False, noise=noise, outliers=0.02)
     drawn = draw(ask(simulator=simulator, purpose="complete", hidden=(), size=0.0, logs=logs))
@@ -80,6 +80,7 @@ def test_the_true_drift_is_that_of_the_runs_that_are_judged(simulator) -> None:
     assert np.all(rms > 0.5 * drawn.noise)
 
 
+@pytest.mark.long
 def test_a_plain_case_is_named_and_kept() -> None:
     row = run_case(ask(simulator=3, hidden=("supply_sensitivity",), size=10.0, runs=6))
     assert (row.verdict, row.effect) == ("missing", "supply_sensitivity")
@@ -89,6 +90,7 @@ def test_a_plain_case_is_named_and_kept() -> None:
     assert 0.0 < row.probabilities["supply_sensitivity"] <= 1.0
 
 
+@pytest.mark.long
 def test_the_loop_tells_every_step() -> None:
     row = run_case(ask(condition="loop", hidden=("supply_sensitivity",), size=10.0, runs=6, seed=6))
     assert [step.added for step in row.steps][:2] == ["", "supply_sensitivity"]
@@ -115,6 +117,7 @@ def test_logs_that_the_loader_refuses_count_as_a_failure(monkeypatch) -> None:
     assert "errors 1" in tables.list_conditions([row])[0]
 
 
+@pytest.mark.long
 def test_an_effect_that_was_not_named_is_added_all_the_same(monkeypatch) -> None:
     def say_nothing(*given):
         return replace(diagnose(*given), verdict="unknown", effect=None, lookalikes=())
@@ -251,6 +254,7 @@ def test_what_a_form_of_the_catalogue_imitates_is_told_apart() -> None:
     assert "best form leaves 1.10" in tables.list_failures([unlike, alike])[1]
 
 
+@pytest.mark.long
 def test_outside_the_catalogue_the_best_form_is_measured() -> None:
     row = run_case(ask(purpose="outside", hidden=("sticky_valve",), size=3.0, runs=4))
     assert row.form_error is not None

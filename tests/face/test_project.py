@@ -63,6 +63,7 @@ def test_importing_loads_the_standard_library_alone() -> None:
     assert done.stdout.strip() == "['zerodrift']"
 
 
+@pytest.mark.long
 def test_from_frames_to_checked_c(tmp_path: Path) -> None:
     """The lines that the manual promises."""
     project = zd.Project.from_frames(
@@ -80,6 +81,7 @@ def test_from_frames_to_checked_c(tmp_path: Path) -> None:
     assert float((frame["Fz_compensated"].abs() < frame["Fz_uncertainty"]).mean() or 0.0) > 0.9
 
 
+@pytest.mark.long
 def test_the_manuals_eight_lines_go_from_frames_to_checked_c() -> None:
     """The page's own lines are run."""
     page = (Path(__file__).parents[2] / "docs/how-to/python.md").read_text(encoding="utf-8")
@@ -239,6 +241,7 @@ def test_frames_that_cannot_be_are_refused() -> None:
     refuse(plain.head(1), r"a\.parquet: too few rows: 1")
 
 
+@pytest.mark.long
 def test_what_apply_cannot_take_is_told_of_the_frame(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(zd.InputError, match="there is no integer model"):
         zd.Project(folder).apply(make_frame(0))

@@ -8,6 +8,8 @@ import pytest
 
 from tests.faults.scenarios import SCENARIOS
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 
 

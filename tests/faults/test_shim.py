@@ -46,7 +46,7 @@ def test_calls_on_the_folder_are_counted_and_no_others(shim: Path, tmp_path: Pat
     assert (done.returncode, calls) == (0, CALLS * 2)
 
 
-@pytest.mark.parametrize("number", range(1, 9))
+@pytest.mark.spread(4, "number", range(1, 9))
 def test_each_call_can_fail_and_be_the_last(shim: Path, tmp_path: Path, number: int) -> None:
     failed = run(shim, tmp_path / "fails", 1, number)
     assert failed.returncode == 1 and "OSError" in failed.stderr

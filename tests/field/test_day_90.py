@@ -86,6 +86,7 @@ def test_the_chip_and_monitor_take_the_block_of_day_90(project: Path, tmp_path: 
     assert (kinds.count("calibrated"), kinds.count("block"), kinds.count("loaded")) == (2, 2, 2)
 
 
+@pytest.mark.long
 def test_a_unit_keeps_its_sequence_without_build_folder_or_registry(project: Path) -> None:
     calibrate(project, ONE, AGED, 900)
     second = build(project, "2026-04-01")
@@ -99,6 +100,7 @@ def test_a_unit_keeps_its_sequence_without_build_folder_or_registry(project: Pat
     assert units[ANOTHER]["calibrated"] == "2026-01-01"
 
 
+@pytest.mark.long
 def test_a_stated_sequence_that_was_given_stops_the_unit(project: Path) -> None:
     calibrate(project, ONE, AGED, 900)
     notes = decode_header(read_blocks(project)[ONE], ONE).notes

@@ -91,6 +91,7 @@ def tell_rms(result: Result) -> dict[str, float]:
     return {n: o["rms_residual"] for n, o in json.loads(result.stdout)["outputs"].items()}
 
 
+@pytest.mark.long
 def test_a_unit_runs_in_the_common_format_and_the_reference_agrees(fleet, monkeypatch) -> None:
     is_seen = []
     for sensor in SENSORS[:2]:
@@ -165,6 +166,7 @@ def test_a_block_that_no_chip_of_the_design_has_is_refused_with_the_way_out(flee
     assert "there is no block of SN02" in str(watch(fleet, SENSORS[1]).exception)
 
 
+@pytest.mark.long
 def test_a_single_unit_with_a_block_goes_on_from_its_state(unit, tmp_path) -> None:
     project = Path(shutil.copytree(unit, tmp_path / "project"))
     toml = project / "zerodrift.toml"

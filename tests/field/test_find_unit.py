@@ -72,7 +72,7 @@ def test_the_unit_that_is_mounted_is_named(units: int, cases: int) -> None:
     assert all(units - 1 in one.possible for one in told)
 
 
-@pytest.mark.parametrize("units", [1, 12, 60])
+@pytest.mark.spread(1, "units", [1, 12, 60])
 def test_a_unit_that_nobody_knows_gets_no_name_more_often_than_stated(units: int) -> None:
     told = [find_unit(draw_case(100 + seed, units, None), units) for seed in range(60)]
     assert sum(one.named is not None for one in told) <= 5  # 1 in 29 where 5 % were the chance

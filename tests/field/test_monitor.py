@@ -45,7 +45,8 @@ def test_monitor_stays_silent_over_a_sound_month_and_says_what_was_used(unit, tm
     assert used.calibrated_low < used.low + 1
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("fault", "cause"),
     [("step", "step"), ("ageing", "ageing"), ("unit", "other unit"), ("model", "other model")],
 )
@@ -78,6 +79,7 @@ def test_monitor_names_the_cause(unit, tmp_path, fault: str, cause: str) -> None
         assert "recalibrate small: the zero of y moved by" in str(result.exception)
 
 
+@pytest.mark.long
 def test_monitor_goes_on_where_the_last_call_ended(unit, tmp_path) -> None:
     zero = 0.5 * (np.arange(30 * DAY) >= 20 * DAY)
     for part in range(6):

@@ -51,6 +51,7 @@ def write_many(path: str, writer: int, design: str) -> int:
     return refused
 
 
+@pytest.mark.long
 def test_many_processes_write_and_nothing_is_lost_or_twice(tmp_path) -> None:
     path = tmp_path / "registry.sqlite"  # made by whoever is first
     context = multiprocessing.get_context("spawn")

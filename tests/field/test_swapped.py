@@ -15,6 +15,8 @@ from zerodrift.field.registry import open_registry
 from zerodrift.field.summary import MonitorResult, UnitSought
 from zerodrift.report.results import read_result
 
+pytestmark = pytest.mark.long
+
 SLOPES = {"SN01": 0.30, "SN02": 1.9, "SN03": -1.4, "SN04": 0.9}
 SWINGS = {"SN04": 0.7}
 """Of temperature while it was calibrated, as a share of the others'."""

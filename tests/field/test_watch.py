@@ -42,6 +42,7 @@ def test_white_noise_is_told_by_its_size() -> None:
     assert whole == pytest.approx(0.1, rel=0.15)
 
 
+@pytest.mark.long
 def test_three_years_are_tested_in_seconds_and_a_late_step_is_found() -> None:
     blocks = draw_blocks(3, 6500)
     blocks.residual[6400:] += 1.0
@@ -55,7 +56,7 @@ def test_three_years_are_tested_in_seconds_and_a_late_step_is_found() -> None:
     assert found.size == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("noise", ["white", "flicker"])
+@pytest.mark.spread(0, "noise", ["white", "flicker"])
 def test_a_step_does_not_pass_for_another_unit(noise: str) -> None:
     """Of five times the noise: between the sizes that the test averages over."""
     told = [draw_unit(700_000 + i, noise, STEP) for i in range(8)]

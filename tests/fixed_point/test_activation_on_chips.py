@@ -20,6 +20,8 @@ if any(importlib.util.find_spec(name) is None for name in ("unicorn", "ziglang")
 
 from zerodrift.c_runtime.emulator import EmulatedModel
 
+pytestmark = pytest.mark.long
+
 LINES, STEP = 512, 2048
 INSIDE = 2**21
 SHIFTS = (0, 1, 2, 4)

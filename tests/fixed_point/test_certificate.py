@@ -19,6 +19,7 @@ from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.product import IntegerProduct
 
 
+@pytest.mark.long
 @settings(
     max_examples=30,
     deadline=None,

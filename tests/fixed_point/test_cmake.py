@@ -11,6 +11,8 @@ import pytest
 
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 TOOLS = Path(sys.prefix) / "bin"
 

@@ -13,6 +13,8 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.reference import Reference
 from zerodrift.verify.host_check import check_host
 
+pytestmark = pytest.mark.long
+
 SHAPES = {
     "everything": Shape(
         front_end=("lowpass", "product", "delay", "difference", "power"), hidden=9, gain=20.0
@@ -76,8 +78,7 @@ def build_sanitized(compiler: Compiler, source: Path, program: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "shape",
-    ["everything", *(pytest.param(name, marks=pytest.mark.slow) for name in [*SHAPES][1:])],
+    "shape", ["everything", *(pytest.param(name, marks=pytest.mark.slow) for name in [*SHAPES][1:])]
 )
 @pytest.mark.parametrize("compiler", COMPILERS, ids=name_of)
 def test_sanitizers_find_nothing_at_the_rails(

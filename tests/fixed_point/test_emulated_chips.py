@@ -89,7 +89,8 @@ def draw_codes(channels: int) -> np.ndarray[tuple[int, int], np.dtype[np.int16]]
     return np.concatenate([rails, noise, np.clip(walk, -32768, 32767)]).astype(np.int16)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    3,
     ("core", "shape"),
     [
         pytest.param(core, shape, marks=() if (core, shape) in QUICK else pytest.mark.slow)
@@ -112,16 +113,16 @@ def test_chip_equals_reference(core: str, shape: str, tmp_path: Path) -> None:
     assert chip.selftest() == 0
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("core", "shape"),
     [
         *(("cortex-m4", s) for s in SHAPES if s.startswith(("before", "int8, ", "lstm", "stack"))),
         *(("cortex-m0plus", s) for s in ("before", "before, stack", "lstm", "stack of lstms")),
     ],
 )
-@pytest.mark.parametrize(
-    "flags",
-    [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")],
+@pytest.mark.spread(
+    2, "flags", [("-Os",), ("-O2", "-DZD_NO_ASSEMBLY"), ("-O2", "-mno-unaligned-access")]
 )
 def test_layers_that_are_assembly_alone_are_the_same_in_every_build(
     core: str, shape: str, flags: tuple[str, ...], tmp_path: Path
@@ -149,7 +150,7 @@ def test_layers_that_are_assembly_alone_are_the_same_in_every_build(
         ),
     ],
 )
-@pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
+@pytest.mark.spread(2, "flags", [("-O2",), ("-Os",)])
 def test_an_lstm_of_8_bits_is_the_same_at_any_size_by_any_compiler(
     hidden: int, inputs: int, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -165,7 +166,7 @@ def test_an_lstm_of_8_bits_is_the_same_at_any_size_by_any_compiler(
         *(pytest.param(h, i, marks=pytest.mark.slow) for h, i in ((64, 5), (127, 3), (128, 32))),
     ],
 )
-@pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
+@pytest.mark.spread(1, "flags", [("-O2",), ("-Os",)])
 def test_an_lstm_on_the_smallest_cores_is_the_same_at_any_size_by_any_compiler(
     hidden: int, inputs: int, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -206,12 +207,10 @@ COUNTED = {
 
 
 @pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("core", "shape"),
-    [
-        *(("cortex-m4", s) for s in COUNTED),
-        *(("cortex-m0plus", s) for s in ("before", "lstm")),
-    ],
+    [*(("cortex-m4", s) for s in COUNTED), *(("cortex-m0plus", s) for s in ("before", "lstm"))],
 )
 def test_instruction_count_of_other_layers_does_not_depend_on_the_data(
     core: str, shape: str, flags: tuple[str, ...], tmp_path: Path
@@ -238,7 +237,8 @@ def test_told_stack_is_enough_for_what_runs(core: str, tmp_path: Path) -> None:
     assert told <= used + 64, "and not told far too high"
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     ("core", "flags"),
     [
         ("cortex-m0plus", ("-O2",)),
@@ -267,7 +267,7 @@ def test_instruction_count_does_not_depend_on_the_data(
 
 
 @pytest.mark.parametrize("flags", [("-O2",), ("-Os",)])
-@pytest.mark.parametrize("core", ["cortex-m4", "cortex-m0plus", "rv32imc"])
+@pytest.mark.spread(1, "core", ["cortex-m4", "cortex-m0plus", "rv32imc"])
 def test_instruction_count_of_a_normalisation_does_not_depend_on_the_data(
     core: str, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -290,7 +290,8 @@ LARGE = {
 }
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     ("core", "shape", "most"),
     [
         ("cortex-m4", "lstm", 1728),

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 TABLE_BYTES = 4 * 513
 
 
-@pytest.mark.parametrize("core", CORES)
+@pytest.mark.spread(2, "core", CORES)
 def test_footprint_is_plausible_on_every_core(core: str) -> None:
     model = load("front_end").model
     size = measure_footprint(generate(model), core)
@@ -33,6 +33,7 @@ def test_footprint_is_plausible_on_every_core(core: str) -> None:
     assert size.core == core
 
 
+@pytest.mark.long
 def test_footprint_follows_the_model() -> None:
     small = measure_footprint(generate(draw_model(Shape(hidden=4), 1)))
     large = measure_footprint(generate(draw_model(Shape(hidden=32), 1)))
@@ -76,7 +77,7 @@ def test_code_that_does_not_compile_is_told() -> None:
         measure_footprint(replace(code, source=code.source + "no_such_type x;\n"))
 
 
-@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
+@pytest.mark.spread(0, "core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
 @pytest.mark.parametrize("name", ["front_end", "effects"])
 def test_stack_told_by_both_compilers_covers_what_a_run_touches(
     core: str, name: str, tmp_path: Path

@@ -53,6 +53,7 @@ def test_hostile_names_compile(first: int, tmp_path: Path) -> None:
     assert host.selftest() == 0
 
 
+@pytest.mark.long
 @given(name=names)
 @settings(max_examples=30, deadline=None)
 def test_nothing_hostile_reaches_the_code(name: str) -> None:
@@ -145,6 +146,7 @@ def test_names_of_the_language_are_left_to_it(sensor: str, output: str, tmp_path
     find_compilers()[0].run([*WARNINGS, "-c", str(source), "-o", str(tmp_path / "object.o")])
 
 
+@pytest.mark.long
 def test_bytes_do_not_depend_on_the_process() -> None:
     script = (
         "import sys\nfrom tests.golden.vectors import load\n"

@@ -74,7 +74,7 @@ FAULTS = {
 """What is wrong -> (pattern in the generated source, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.spread(4, "fault", FAULTS)
 def test_check_finds_a_planted_fault(fault: str, tmp_path: Path) -> None:
     shape = replace(FULL, code_limit=20000, drift_limit=60.0)
     model = draw_model(shape, 12)

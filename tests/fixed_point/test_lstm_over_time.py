@@ -1,6 +1,9 @@
 """An LSTM's integers stay with float64 over a long run, whose memory is slow."""
 
+import pytest
 from benchmarks.bench_recurrent import LSTM_MARK_PCT, measure_lstm
+
+pytestmark = pytest.mark.long
 
 
 def test_16_bit_lstm_stays_with_float_over_thousands_of_steps() -> None:

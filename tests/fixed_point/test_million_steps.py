@@ -10,6 +10,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.verify.host_check import check_host
 
+pytestmark = pytest.mark.long
+
 STEPS = 1_000_000
 HIDDEN = 16
 

@@ -20,6 +20,8 @@ from zerodrift.export.model_files import load_model
 from zerodrift.verify.certificate import certify
 from zerodrift_proof.certificate.check import compare
 
+pytestmark = pytest.mark.long
+
 SHAPES = {
     "stack": Shape(
         inputs=2,

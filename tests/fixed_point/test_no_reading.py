@@ -103,7 +103,7 @@ def test_flags_trip_on_both_sides_of_every_channel() -> None:
             assert flags == (flag if outside else 0), (channel, code)
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.spread(1, "name", SHAPES)
 def test_host_and_onnx_equal_the_reference(name: str, tmp_path: Path) -> None:
     model = draw_model(SHAPES[name], 2)
     code = generate(model)
@@ -129,7 +129,7 @@ def test_host_and_onnx_equal_the_reference(name: str, tmp_path: Path) -> None:
     reason="emulation needs the unicorn and ziglang wheels",
 )
 @pytest.mark.parametrize("name", ["network", "32 bits"])
-@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4"])
+@pytest.mark.spread(1, "core", ["cortex-m0plus", "cortex-m4"])
 def test_emulated_core_equals_the_reference(name: str, core: str, tmp_path: Path) -> None:
     from zerodrift.c_runtime.emulator import EmulatedModel
 
@@ -156,7 +156,7 @@ FAULTS = {
 """What is wrong -> (pattern in the generated source, what it becomes)."""
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.spread(3, "fault", FAULTS)
 def test_faults_are_found(fault: str, tmp_path: Path) -> None:
     model = draw_model(SHAPE, 2)
     code = generate(model)
@@ -175,7 +175,7 @@ CHEATS = {
 }
 
 
-@pytest.mark.parametrize("cheat", CHEATS)
+@pytest.mark.spread(1, "cheat", CHEATS)
 def test_certificate_check_wants_every_input_filled_in(cheat: str, tmp_path: Path) -> None:
     model = draw_model(SHAPE, 2)
     code = generate(model)

@@ -25,7 +25,7 @@ HAS_GCC = any(c.name == "gcc" for c in find_cross_compilers(CORE))
 
 
 @pytest.mark.skipif(not HAS_GCC, reason="no arm-none-eabi-gcc")
-@pytest.mark.parametrize("kind", ["gru", "lstm"])
+@pytest.mark.spread(0, "kind", ["gru", "lstm"])
 def test_own_layer_is_measured_and_the_same_on_both(kind: str, tmp_path: Path) -> None:
     task = draw_task(kind, 0)
     task = Task(kind, task.cell, task.x[:200])

@@ -16,6 +16,8 @@ from zerodrift.codegen.generate import generate
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 
+pytestmark = pytest.mark.long
+
 KERNELS = [(), ("-DZD_KERNEL=0",), ("-DZD_KERNEL=1",), ("-DZD_SMALL",), ("-DZD_LANES=2u",)]
 KERNELS += [("-DZD_SMALL", "-DZD_KERNEL=1"), ("-DZD_KERNEL=0", "-DZD_LANES=2u")]
 if "avx2" in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""):

@@ -41,7 +41,7 @@ def draw_scaled_model(reset: str, shifts: tuple[int, int, int]) -> IntegerModel:
     return replace(model, nodes=nodes)
 
 
-@pytest.mark.parametrize("name", RECURRENT)
+@pytest.mark.spread(3, "name", RECURRENT)
 def test_rows_replay_golden_vectors(name: str, tmp_path: Path) -> None:
     golden = load(name)
     code = generate(golden.model)
@@ -53,6 +53,7 @@ def test_rows_replay_golden_vectors(name: str, tmp_path: Path) -> None:
     assert host.selftest() == 0
 
 
+@pytest.mark.long
 @settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=RELAXED)
 @given(shape=shapes(), seed=st.integers(0, 2**31))
 def test_rows_of_random_models_equal_the_reference(shape: Shape, seed: int) -> None:
@@ -69,13 +70,13 @@ LSTMS = {
 
 
 @pytest.mark.parametrize("weights", ["int16", "int8"])
-@pytest.mark.parametrize("shape", LSTMS)
+@pytest.mark.spread(2, "shape", LSTMS)
 def test_rows_of_an_lstm_equal_the_reference(shape: str, weights: str) -> None:
     compare(replace(LSTMS[shape], weights=weights), 5, steps=300, flags=("-O1", *ROWS))
 
 
 @pytest.mark.parametrize("shifts", SHIFTS)
-@pytest.mark.parametrize("reset", ["after", "before"])
+@pytest.mark.spread(1, "reset", ["after", "before"])
 def test_products_of_8_bits_are_rounded_by_any_shift(
     reset: str, shifts: tuple[int, int, int], tmp_path: Path
 ) -> None:

@@ -65,6 +65,7 @@ def make_power(exponent: float, largest: int, bits: int = 27) -> IntegerPower:
     )
 
 
+@pytest.mark.long
 def test_octave_is_accurate_monotone_and_exact_at_its_ends() -> None:
     octave = evaluate_polynomial(EVERY_FRACTION << 7, OCTAVE_Q29)
     truth = 2.0 ** (29.0 + EVERY_FRACTION / 2.0**24)

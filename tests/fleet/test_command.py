@@ -45,7 +45,7 @@ def test_fleet_writes_checked_c_for_every_sensor(done_fleet, tmp_path):
         folder = done_fleet / "firmware" / result["sensor"]
         names = {path.name for path in folder.iterdir()}
         assert names == {
-            *("ft40.h", "ft40.c", "parameters.json", "certificate.json", "manifest.json"),
+            *("ft40.h", "ft40.c", "parameters.json", "certificate.json", "manifest.json")
         }
         assert result["model_hash"] in (folder / "ft40.h").read_text()
         assert json.loads((folder / "parameters.json").read_text())["model_hash"] in hashes | {
@@ -144,6 +144,7 @@ def test_bad_log_spoils_its_own_sensor_only(fleet, zerodrift):
     assert "no file matches 'fleet/SN03/test_*.csv'" in results[2]["reasons"][0]
 
 
+@pytest.mark.long
 def test_networks_of_a_fleet_are_those_trained_alone(fleet, zerodrift, edit):
     edit('[[effect]]\nkind = "dark_current"\n', NETWORK)
     result = zerodrift("fleet", "-C", fleet, "--jobs", 1, "--json")
@@ -165,6 +166,7 @@ def test_fleet_without_firmware_writes_none(fleet, zerodrift):
     assert (fleet / "build" / "fleet" / "SN01" / "parameters.json").exists()
 
 
+@pytest.mark.long
 def test_units_have_prefixes_of_their_own(fleet, zerodrift):
     toml = fleet / "zerodrift.toml"
     text = toml.read_text()

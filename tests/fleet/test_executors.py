@@ -11,6 +11,8 @@ from zerodrift.base.errors import CheckError
 from zerodrift.fleet.run import OverRay, Serial, run_fleet
 from zerodrift.fleet.sensors import Design
 
+pytestmark = pytest.mark.long
+
 
 class RayError(Exception):
     """What Ray raises when its cluster is lost."""

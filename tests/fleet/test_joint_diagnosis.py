@@ -111,6 +111,7 @@ def weak(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_fleet(tmp_path_factory.mktemp("weak") / "p", ["thermal_lag"] * 12, 0.3)
 
 
+@pytest.mark.long
 def test_what_a_unit_cannot_show_all_together_show(weak: Path):
     result = invoke("diagnose", "-C", weak, "--json")
     assert result.exit_code == 0, result.output
@@ -123,6 +124,7 @@ def test_what_a_unit_cannot_show_all_together_show(weak: Path):
     assert json.loads(alone.stdout)["effect"] is None
 
 
+@pytest.mark.long
 def test_the_odd_unit_is_named_and_the_fleet_is_not(tmp_path: Path):
     project = write_fleet(tmp_path / "p", ["", "", "", "creep", "", "", "", ""], 5.0)
     (project / "fleet/SN06/chamber_1.csv").write_text("not, a\nlog, 1\n")

@@ -21,6 +21,8 @@ from zerodrift.export.model_files import load_model
 from zerodrift.fleet.sensors import open_sensor
 from zerodrift.verify.uncertainty import Uncertainty
 
+pytestmark = pytest.mark.long
+
 
 def invoke(*arguments: object) -> Result:
     return CliRunner().invoke(cli, [*map(str, arguments)])

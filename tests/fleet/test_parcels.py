@@ -41,6 +41,7 @@ def run(project, executor, batch=None):
     return outcomes
 
 
+@pytest.mark.long
 def test_workers_that_see_no_file_give_the_same_bytes(done_fleet, fleet, monkeypatch):
     _, ray = run_hidden(fleet, monkeypatch)
     assert ray.ran == 2
@@ -56,6 +57,7 @@ register(Effect(kind="mine", title="mine", build=lambda ops, signals, p: []))
 """
 
 
+@pytest.mark.long
 def test_absolute_logs_and_own_effects_travel(fleet, monkeypatch, tmp_path, edit):
     logs = tmp_path / "logs"
     shutil.move(fleet / "fleet", logs)
@@ -68,6 +70,7 @@ def test_absolute_logs_and_own_effects_travel(fleet, monkeypatch, tmp_path, edit
     assert read_all(fleet) == read_all(here)
 
 
+@pytest.mark.long
 def test_bad_log_spoils_its_own_sensor_and_is_told_by_the_drivers_path(fleet, monkeypatch):
     log = fleet / "fleet/SN02/chamber_1.csv"
     lines = log.read_text().splitlines()
@@ -79,6 +82,7 @@ def test_bad_log_spoils_its_own_sensor_and_is_told_by_the_drivers_path(fleet, mo
     assert outcomes == run_fleet(Design(load_config(here)), Serial())
 
 
+@pytest.mark.long
 def test_sensor_without_logs_is_told_as_ever(fleet, monkeypatch):
     (fleet / "fleet/SN01/test_chamber_1.csv").unlink()
     expected = run_fleet(Design(load_config(fleet)), Serial())
@@ -113,6 +117,7 @@ def test_worker_of_another_version_is_refused(fleet, monkeypatch):
     assert all("expected 0.0" in outcome.error for outcome in outcomes)
 
 
+@pytest.mark.long
 def test_foreign_file_stays_where_a_worker_could_not_see_it(fleet, monkeypatch):
     foreign = fleet / "firmware/SN02/ft40.c"
     foreign.parent.mkdir(parents=True)
@@ -130,6 +135,7 @@ def test_sealed_content_is_what_was_sent():
         replace(sealed, content=b"row").open("log")
 
 
+@pytest.mark.long
 def test_blocks_come_back_the_same(fleet, zerodrift, monkeypatch, edit):
     edit("[fleet]", '[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n\n[fleet]')
     here = Path(shutil.copytree(fleet, fleet.with_name("here")))
@@ -140,6 +146,7 @@ def test_blocks_come_back_the_same(fleet, zerodrift, monkeypatch, edit):
     assert read_all(fleet) == read_all(here)
 
 
+@pytest.mark.long
 def test_worker_that_dies_again_and_again_loses_nothing_that_is_done(fleet, monkeypatch):
     ray = HiddenRay(fleet)
     monkeypatch.setitem(sys.modules, "ray", ray)

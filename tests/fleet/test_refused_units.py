@@ -3,10 +3,13 @@
 import json
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from tests.fleet.conftest import SENSORS
 
 from zerodrift.cli.main import cli
+
+pytestmark = pytest.mark.long
 
 
 def spoil(log: Path) -> None:

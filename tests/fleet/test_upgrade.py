@@ -113,6 +113,7 @@ def test_a_stored_project_of_an_earlier_day_gets_its_format_alone(
     assert toml.read_text() == after
 
 
+@pytest.mark.long
 def test_an_earlier_project_keeps_its_bits_when_it_is_upgraded(
     tmp_path: Path, zerodrift: Command
 ) -> None:

@@ -40,6 +40,7 @@ def run(fleet: Path, executor=None):
     return run_fleet(Design(load_config(fleet)), executor or Serial(), batch=2)
 
 
+@pytest.mark.long
 def test_logs_in_a_store_give_the_same_c(done_fleet, fleet, memory, edit):
     upload(fleet, memory)
     shutil.rmtree(fleet / "fleet")
@@ -56,6 +57,7 @@ def test_logs_in_a_store_give_the_same_c(done_fleet, fleet, memory, edit):
     assert [outcome.kept for outcome in run(fleet)] == [True, False, True]
 
 
+@pytest.mark.long
 def test_cluster_fetches_logs_itself(fleet, memory, edit, monkeypatch):
     upload(fleet, memory)
     shutil.rmtree(fleet / "fleet")
@@ -75,6 +77,7 @@ def test_cluster_fetches_logs_itself(fleet, memory, edit, monkeypatch):
         assert (fleet / path.relative_to(here)).read_bytes() == path.read_bytes(), path
 
 
+@pytest.mark.long
 def test_selector_of_a_url_takes_runs_parts_and_the_sensors_name(fleet, memory, edit):
     for log in (fleet / "fleet").rglob("*.csv"):
         use = log.name.split("_")[0]
@@ -90,6 +93,7 @@ def test_selector_of_a_url_takes_runs_parts_and_the_sensors_name(fleet, memory, 
     ]
 
 
+@pytest.mark.long
 def test_bad_rows_are_told_by_url(fleet, memory, edit):
     upload(fleet, memory)
     edit(FOLDER, '"memory://plant/fleet/{sensor}"')
@@ -183,6 +187,7 @@ def test_other_commands_refuse_a_url(fleet, memory, zerodrift, edit):
     assert "is a URL, by which `zerodrift fleet` alone reads logs" in result.err
 
 
+@pytest.mark.long
 def test_blocks_and_registry_with_logs_in_a_store(fleet, memory, zerodrift, edit):
     edit("[fleet]", '[firmware]\ncoefficients = "block"\ncalibrated = 2026-03-01\n\n[fleet]')
     upload(fleet, memory)

@@ -28,6 +28,7 @@ def wait(place: Workplace) -> None:
     raise AssertionError("still busy")
 
 
+@pytest.mark.long
 def test_the_page_works_on_the_unit_that_is_named(fleet: Path) -> None:
     unit, other = SENSORS[1], SENSORS[0]
     bench = Workbench(fleet, sensor=unit)

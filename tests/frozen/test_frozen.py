@@ -8,7 +8,7 @@ import pytest
 from tests.frozen.projects import EXPECTED, NAMES, digest, render_texts, write_project
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.spread(3, "name", NAMES)
 def test_stored_parameters_give_the_same_bytes(name: str, tmp_path: Path) -> None:
     expected = json.loads(EXPECTED.read_text("utf-8"))[name]
     texts = render_texts(name, write_project(name, tmp_path / name))

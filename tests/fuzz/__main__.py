@@ -3,9 +3,9 @@
 step, state, restore: the generated C, with the whole and the small table, under libFuzzer with the
 address and undefined-behaviour sanitizers (needs clang). model, onnx, config, csv: the readers of
 a user's files under atheris. Each target gets S seconds of processor time, shared out over its
-models. What a fuzzer finds interesting is kept in tests/fuzz/corpus, as small as its coverage
-allows, or with --scratch in build/fuzz alone. Exit codes: 0 no finding, 1 a finding, 2 a fuzzer
-is missing.
+models. What a fuzzer finds interesting is kept in tests/fuzz/corpus.tar.xz, as small as its
+coverage allows, or with --scratch in build/fuzz alone. Exit codes: 0 no finding, 1 a finding, 2 a
+fuzzer is missing.
 """
 
 import argparse
@@ -21,12 +21,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.fuzz import build, loaders
+from tests.fuzz.corpus import read_corpus, unpack, write_corpus
 
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.export.model_files import load_model
 
 ROOT = Path(__file__).parents[2]
-CORPUS = Path(__file__).parent / "corpus"
 SCRATCH = ROOT / "build" / "fuzz"
 LONGEST_INPUT = {"model": 16_000, "onnx": 8_000, "config": 4_000, "csv": 2_000}
 Command = list[str | Path]
@@ -131,24 +131,26 @@ def main() -> int:
     missing = find_missing(targets, clang)
     for what in missing:
         print(f"not fuzzed for lack of {what}: `make setup-fuzz`")
-    found = False
+    found, corpus = False, read_corpus()
     for target in targets:
         jobs = [] if find_missing([target], clang) else list(list_jobs(target, clang))
         for name, command, seeds in jobs:
-            kept = CORPUS / name.removesuffix("_small")
-            corpus = SCRATCH / name / "corpus" if arguments.scratch else kept
-            if arguments.scratch and kept.is_dir():
-                shutil.copytree(kept, corpus, dirs_exist_ok=True)
-            corpus.mkdir(parents=True, exist_ok=True)
-            for number, seed in enumerate(seeds):
-                (corpus / f"seed_{number}").write_bytes(seed)
-            used, runs, finding = fuzz(name, command, corpus, arguments.seconds / len(jobs))
+            kept, folder = name.removesuffix("_small"), SCRATCH / name / "corpus"
+            if not arguments.scratch:
+                shutil.rmtree(folder, ignore_errors=True)
+            unpack([*corpus.get(kept, []), *seeds], folder)
+            try:
+                used, runs, finding = fuzz(name, command, folder, arguments.seconds / len(jobs))
+                # atheris cannot merge; libFuzzer drops what a smaller file covers while it runs
+                if target in build.TARGETS and not (finding or arguments.scratch):
+                    shrink(command, folder)
+            finally:
+                if not arguments.scratch:
+                    corpus[kept] = [path.read_bytes() for path in folder.iterdir()]
+                    write_corpus(corpus)
             told = f"FOUND:\n{finding}" if finding else "no finding"
             print(f"{name}: {used:.0f} s of processor time, {runs} runs, {told}", flush=True)
             found |= bool(finding)
-            # atheris cannot merge; libFuzzer drops what a smaller file covers while it runs
-            if target in build.TARGETS and not (finding or arguments.scratch):
-                shrink(command, corpus)
     return 1 if found else 2 * bool(missing and not arguments.allow_missing)
 
 
@@ -156,4 +158,4 @@ if __name__ == "__main__":
     try:
         sys.exit(main())
     except KeyboardInterrupt:
-        sys.exit("interrupted; the corpora keep what was found so far")
+        sys.exit("interrupted; what was found so far is kept")

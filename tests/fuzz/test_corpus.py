@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fuzz import build, loaders
+from tests.fuzz import build, corpus, loaders
 
 from zerodrift.c_runtime.compilers import find_compilers
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 
-CORPUS = Path(__file__).parent / "corpus"
+KEPT = corpus.read_corpus()
 SANITIZED = [c for c in find_compilers() if c.name in ("gcc", "clang", "cc")]
 needs_sanitizers = pytest.mark.skipif(
     not SANITIZED, reason="needs gcc or clang with the address sanitizer"
@@ -21,7 +21,8 @@ needs_sanitizers = pytest.mark.skipif(
 
 @needs_sanitizers
 @pytest.mark.parametrize("target", build.TARGETS)
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    1,
     "name",
     [pytest.param(n, marks=pytest.mark.slow if n == "windowed" else ()) for n in build.MODELS],
 )
@@ -29,23 +30,20 @@ def test_corpus_and_random_bytes_find_nothing(name: str, target: str, tmp_path: 
     model = load_model(build.GOLDEN / f"{name}.model.json")
     flags = (f"-fsanitize={build.SANITIZERS}", "-DREPLAY")
     program = build.build(model, target, SANITIZED[0], tmp_path, flags)
-    files = sorted((CORPUS / f"{target}_{name}").glob("*"))
-    assert files
     rng = np.random.default_rng(81)
-    for i in range(100):
-        files.append(tmp_path / f"random_{i}")
-        files[-1].write_bytes(rng.bytes(int(rng.integers(1, 500))))
+    random = [rng.bytes(int(rng.integers(1, 500))) for _ in range(100)]
+    files = corpus.unpack([*KEPT[f"{target}_{name}"], *random], tmp_path / "cases")
     done = subprocess.run([program, *files], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @needs_sanitizers
-@pytest.mark.parametrize("target", ["step", "state"])
+@pytest.mark.spread(1, "target", ["step", "state"])
 def test_corpus_finds_nothing_in_the_small_table(target: str, tmp_path: Path) -> None:
     model = load_model(build.GOLDEN / "int8_before.model.json")
     flags = (f"-fsanitize={build.SANITIZERS}", "-DREPLAY", *build.TABLES["_small"])
     program = build.build(model, target, SANITIZED[0], tmp_path, flags)
-    files = sorted((CORPUS / f"{target}_int8_before").glob("*"))
+    files = corpus.unpack(KEPT[f"{target}_int8_before"], tmp_path / "cases")
     done = subprocess.run([program, *files], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -75,8 +73,7 @@ def test_target_would_find_a_state_that_is_not_checked(
 @pytest.mark.parametrize("target", loaders.TARGETS)
 def test_readers_read_or_refuse_whatever_was_found(target: str) -> None:
     """Nothing but a message gets out, and the corpus holds files of both kinds."""
-    kept = sorted((CORPUS / f"loader_{target}").glob("*"))
-    read = [loaders.run_one(target, path.read_bytes()) for path in kept]
+    read = [loaders.run_one(target, data) for data in KEPT[f"loader_{target}"]]
     assert True in read and False in read
 
 
@@ -114,3 +111,22 @@ def test_readers_read_or_refuse_damaged_files(target: str) -> None:
 )  # fmt: skip
 def test_files_that_once_got_through_are_refused(target: str, data: bytes) -> None:
     assert loaders.run_one(target, data) is False
+
+
+def test_a_case_is_added_once_and_the_same_cases_make_the_same_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = tmp_path / "case"
+    case.write_bytes(b"t,T\n0,never kept\n")
+    texts = []
+    for order in (1, -1):
+        monkeypatch.setattr(corpus, "ARCHIVE", tmp_path / f"{order}.tar.xz")
+        corpus.write_corpus({name: KEPT[name][::order] for name in list(KEPT)[::order]})
+        monkeypatch.setattr("sys.argv", ["corpus", "loader_csv", str(case), str(case)])
+        corpus.main()
+        texts.append(corpus.ARCHIVE.read_bytes())
+    assert texts[0] == texts[1]
+    grown = corpus.read_corpus()
+    assert set(grown["loader_csv"]) - set(KEPT["loader_csv"]) == {case.read_bytes()}
+    assert len(grown["loader_csv"]) == len(KEPT["loader_csv"]) + 1
+    assert {**grown, "loader_csv": KEPT["loader_csv"]} == KEPT

@@ -106,9 +106,7 @@ def write_sensor(
     directory.mkdir(parents=True, exist_ok=True)
     tested = any(program.name.startswith("test") for program in programs)
     text = TOML.format(
-        full_scale=full_scale,
-        network=network,
-        test='test = ["test_*.csv"]' if tested else "",
+        full_scale=full_scale, network=network, test='test = ["test_*.csv"]' if tested else ""
     )
     (directory / "zerodrift.toml").write_text(text)
     middle = 0.5 * (programs[0].low_degC + programs[0].high_degC)

@@ -137,6 +137,7 @@ def test_physics_without_test_logs_is_judged_by_runs_left_out(
     assert verdict.passes and verdict.method == method and verdict.rows == 900 * runs
 
 
+@pytest.mark.long
 def test_lag_bank_without_test_logs_is_fitted_again_without_each_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -228,6 +229,7 @@ def test_network_without_test_logs_is_not_judged(tmp_path: Path) -> None:
     assert left_out.leave_out(config, dataset, with_network) is None
 
 
+@pytest.mark.long
 def test_firmware_refuses_keeps_what_was_there_and_writes_when_forced(tmp_path: Path) -> None:
     project = write_sensor(tmp_path / "p", (*TRAIN, *TESTS), full_scale=1e7)
     out = project / "firmware"

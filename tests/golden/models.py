@@ -121,8 +121,7 @@ CASES: dict[str, Case] = {
         Shape(inputs=3, layered=(("lstm", 6, (0,)), ("lstm", 5, (1,))), weights="int8"), walk
     ),
     "lstm_windowed": Case(
-        Shape(inputs=2, layered=(("lstm", 5, (0,)), ("lstm", 3, (1,))), window=6, outputs=2),
-        rails,
+        Shape(inputs=2, layered=(("lstm", 5, (0,)), ("lstm", 3, (1,))), window=6, outputs=2), rails
     ),
     "layered": Case(
         Shape(

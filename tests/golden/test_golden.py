@@ -37,7 +37,7 @@ def test_reference_replays_golden_vectors(name: str) -> None:
     assert crc_of(rows) == golden.crc
 
 
-@pytest.mark.parametrize("compiler", find_compilers(), ids=lambda compiler: compiler.name)
+@pytest.mark.spread(1, "compiler", find_compilers(), ids=lambda compiler: compiler.name)
 @pytest.mark.parametrize("name", CASES)
 def test_host_c_replays_golden_vectors(name: str, compiler: Compiler, tmp_path: Path) -> None:
     golden = load(name)

@@ -6,9 +6,9 @@ record has a name that the type checker knows. *Any* is an annotation that says 
 
 import ast
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 from tests.house.test_order import FOLDERS
@@ -99,12 +99,12 @@ class Place:
     text: str
 
 
-def list_trees() -> Iterator[tuple[Path, str, ast.Module]]:
-    """Yield every module of the product and of its checkers, its text and its syntax tree."""
-    for folder in (*FOLDERS.values(), ROOT / PROOF):
-        for path in sorted(folder.rglob("*.py")):
-            text = path.read_text("utf-8")
-            yield path, text, ast.parse(text)
+@cache
+def list_trees() -> list[tuple[Path, str, ast.Module]]:
+    """Return every module of the product and of its checkers, its text and its syntax tree."""
+    folders = (*FOLDERS.values(), ROOT / PROOF)
+    texts = {p: p.read_text("utf-8") for folder in folders for p in sorted(folder.rglob("*.py"))}
+    return [(path, text, ast.parse(text)) for path, text in texts.items()]
 
 
 def list_subscripts() -> list[Place]:

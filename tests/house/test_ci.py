@@ -124,3 +124,35 @@ def test_a_benchmark_that_misses_a_mark_fails_the_run(code: int, tmp_path: Path)
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=False)
     assert done.returncode == (code > 0)
+
+
+def test_tiers_are_markers_that_are_registered_and_used_and_no_list_of_names() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"]
+    assert "--strict-markers" in options["ini_options"]["addopts"].split()
+    files = [p for p in (ROOT / "tests").rglob("*") if p.suffix in (".py", ".txt", ".toml", ".ini")]
+    texts = {path: path.read_text("utf-8") for path in files}
+    used = set(re.findall(r"pytest\.mark\.(\w+)", " ".join(texts.values())))
+    own = {"parametrize", "skipif", "usefixtures", "filterwarnings"}
+    registered = {re.match(r"\w+", line)[0] for line in options["ini_options"]["markers"]}
+    assert used - own == registered
+    assert not [str(path) for path, text in texts.items() if re.search(r"\.py::[a-z]", text)]
+
+
+def test_spread_leaves_all_but_so_many_cases_to_test_long(tmp_path: Path) -> None:
+    file = tmp_path / "test_it.py"
+    cases = "[pytest.param(9, marks=pytest.mark.slow), *'abcdef']"
+    file.write_text(f"import pytest\n@pytest.mark.spread(2, 'x', {cases})\ndef test_it(x): ...\n")
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "tests.conftest",
+        "-c",
+        ROOT / "pyproject.toml",
+    ]
+    done = subprocess.run(
+        [*command, "--collect-only", "-q", "-m", "not long", file],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert re.findall(r"test_it\[(.)\]", done.stdout) == ["9", "a", "d"], done.stdout

@@ -12,6 +12,8 @@ from tests.surroundings.conftest import REST, write_project
 import zerodrift
 from zerodrift.cli import main
 
+pytestmark = pytest.mark.long
+
 BLOCKER = """
 import sys
 ABSENT = {"torch", "plotly", "dash", "ray", "serial", "can", "cantools", "paho"}

@@ -2,7 +2,7 @@
 
 import ast
 import sys
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -33,15 +33,18 @@ TESTERS = ("bench_object_proof.py", "object_oracle.py")
 """Of lab/benchmarks: they plant faults in what a module inside is given, as tests do."""
 
 
-def list_imports(path: Path) -> Iterator[str]:
-    """Yield each module that a file imports, within functions too."""
+@cache
+def list_imports(path: Path) -> list[str]:
+    """Return each module that a file imports, within functions too."""
+    found: list[str] = []
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.module and not node.level, f"{path}:{node.lineno}"
             inner = [f"{node.module}.{alias.name}" for alias in node.names]
-            yield from (name if name in CHECKERS else node.module for name in inner)
+            found += (name if name in CHECKERS else node.module for name in inner)
+    return found
 
 
 def reach(name: str) -> set[str]:

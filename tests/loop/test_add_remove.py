@@ -124,10 +124,7 @@ REFUSED = {
     "value out of bounds": (["add", "thermal_lag", "--hold", "tau_s=-5"], "expected"),
     "no number": (["add", "thermal_lag", "--hold", "tau_s=slow"], "'slow' is no number"),
     "no value": (["add", "thermal_lag", "--hold", "tau_s"], "expected NAME=VALUE"),
-    "set twice": (
-        ["add", "thermal_lag", "--hold", "tau_s=5", "--hold", "tau_s=6"],
-        "set twice",
-    ),
+    "set twice": (["add", "thermal_lag", "--hold", "tau_s=5", "--hold", "tau_s=6"], "set twice"),
     "unknown option": (["add", "thermal_lag", "--set", "sginal=x"], "did you mean 'signal'"),
     "remove what is not there": (["remove", "thermal_lag"], "not in the model"),
     "remove a misspelt one": (["remove", "zero_tempc"], "did you mean 'zero_tempco'"),

@@ -97,6 +97,7 @@ def test_without_references_load_effects_are_not_testable(project, zerodrift):
         assert "no output has a reference that varies" in why[effect]
 
 
+@pytest.mark.long
 def test_loads_that_nobody_wrote_down_have_no_name(project, zerodrift):
     edit_toml(project, 'reference = "ref_Fz_N"\n', "")
     told = diagnose(zerodrift, project)
@@ -104,10 +105,7 @@ def test_loads_that_nobody_wrote_down_have_no_name(project, zerodrift):
 
 
 def test_a_load_that_never_changes_is_no_load(project, zerodrift):
-    edit_logs(
-        project,
-        lambda t: set_to(Fz_N=t["Fz_N"] - t["ref_Fz_N"] + 50.0, ref_Fz_N=50.0)(t),
-    )
+    edit_logs(project, lambda t: set_to(Fz_N=t["Fz_N"] - t["ref_Fz_N"] + 50.0, ref_Fz_N=50.0)(t))
     told = diagnose(zerodrift, project)
     assert told["effect"] == "thermal_lag"
     assert "creep" in {entry["effect"] for entry in told["not_testable"]}

@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.long
+
 
 def rewrite_logs(project, change):
     """Rewrite logs: `change(table, number)` gets a table of named columns and changes it."""

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 
 def test_add_tells_what_compare_tells_where_offsets_are_read_anew(make_project, zerodrift):
     """The model without the lag takes the runs' offsets for a tare; the one with it does not."""
@@ -60,6 +62,7 @@ def test_logs_of_a_test_decide_nothing_and_what_they_lose_is_told(make_project, 
         assert "On the test logs, which decide nothing here" in text
 
 
+@pytest.mark.long
 def test_propose_tells_what_compare_tells_without_a_formula_too(make_project, zerodrift):
     project = make_project(runs=5)
     read = {

@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("dwell", [False, True])
 def test_every_command_tells_the_same_floor(dwell, make_project, zerodrift):

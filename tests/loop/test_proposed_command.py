@@ -11,6 +11,8 @@ from zerodrift.diagnosis.changes import propose_command
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.physics.catalogue import load_catalogue
 
+pytestmark = pytest.mark.long
+
 
 def rewrite_outputs(project, drift):
     """Rewrite the logs so that the drift of Fz is what `drift(temperature)` gives, plus noise."""

@@ -73,6 +73,7 @@ def test_genrad_diagnose_proposes_the_lag_and_add_reaches_the_mark(open_real, ze
     assert "(thin evidence)" in zerodrift("diagnose", "-C", directory).out
 
 
+@pytest.mark.long
 def test_vhd200_diagnose_finds_the_slow_memory(open_real, zerodrift):
     log = "resistor_vhd200_oven_ramps.csv"
     runs = ["run11", "run12", "run13"]

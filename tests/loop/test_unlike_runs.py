@@ -3,12 +3,15 @@
 import json
 
 import numpy as np
+import pytest
 
 from zerodrift.base.records import to_dict
 from zerodrift.report.report import render_report
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.report import summarise_survey
 from zerodrift.tasks.survey import SurveyRequest, survey
+
+pytestmark = pytest.mark.long
 
 
 def edit_log(path, change):

@@ -87,10 +87,7 @@ def compose(folder: Path) -> IntegerModel:
 
 @pytest.mark.parametrize(
     ("low", "high", "temperature"),
-    [
-        (220.0, 380.0, NAME),
-        (20.0, 900.0, '{ column = "temperature_degC", range = [0, 1100] }'),
-    ],
+    [(220.0, 380.0, NAME), (20.0, 900.0, '{ column = "temperature_degC", range = [0, 1100] }')],
 )
 def test_hot_sensor_gets_checked_firmware_as_good_as_float(
     low: float, high: float, temperature: str, tmp_path: Path

@@ -84,7 +84,8 @@ def test_firmware_carries_hash_guard_and_no_date(project: Path) -> None:
     assert "malloc" not in source and "<math.h>" not in source
 
 
-@pytest.mark.parametrize(
+@pytest.mark.spread(
+    2,
     ("memory", "form", "weights"),
     [
         ("10", "reset_before", "int16"),
@@ -194,6 +195,7 @@ def share_of_quantization(directory: Path) -> float:
     return float(np.sqrt((error**2).mean(axis=0) / (wanted**2).mean(axis=0)).max())
 
 
+@pytest.mark.long
 def test_firmware_with_five_effects_and_a_network(logs: Path, tmp_path: Path) -> None:
     directory = write_project(tmp_path / "p", logs)
     toml = directory / "zerodrift.toml"
@@ -237,6 +239,7 @@ def write_user_effect(directory: Path, delay_s: float) -> None:
     (directory / "own.py").write_text(USER_EFFECT.replace("{delay_s}", str(delay_s)))
 
 
+@pytest.mark.long
 def test_effect_of_a_user_goes_to_c(logs: Path, tmp_path: Path) -> None:
     directory = write_project(tmp_path / "p", logs)
     write_user_effect(directory, 2.3)

@@ -145,10 +145,7 @@ def test_what_no_command_expects_is_still_one_message(
     ],
 )
 def test_a_log_that_cannot_be_opened_in_the_midst_is_one_message(
-    error: OSError,
-    answer: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    error: OSError, answer: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise error

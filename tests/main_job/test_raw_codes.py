@@ -14,11 +14,7 @@ from zerodrift.dataset.chip_codes import choose_codes
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.channels import make_channel
 from zerodrift.export.encoding import encode_channel
-from zerodrift.export.integer_model import (
-    FLAG_NO_READING,
-    FLAG_TEMPERATURE_RANGE,
-    IntegerModel,
-)
+from zerodrift.export.integer_model import FLAG_NO_READING, FLAG_TEMPERATURE_RANGE, IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.reference import Reference
 

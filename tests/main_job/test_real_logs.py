@@ -33,6 +33,7 @@ def test_real_resistor_is_bit_exact_and_within_its_mark(tmp_path: Path) -> None:
     assert body["rmse"]["integer"]["R"] <= 2.5  # ppm
 
 
+@pytest.mark.long
 def test_real_loadcell_is_bit_exact_and_within_its_mark(tmp_path: Path) -> None:
     body = run_example("real_loadcell", "loadcell_h40a_22kg.csv", tmp_path)
     assert body["bit_exact"] is True

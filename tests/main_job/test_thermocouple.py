@@ -77,6 +77,7 @@ def test_whatever_the_log_holds_it_becomes_the_oven_temperature(holds: str, tmp_
     assert np.abs(run.temperature_degC - wanted).max() < (0.04 if holds == "codes" else 2e-3)
 
 
+@pytest.mark.long
 def test_firmware_is_given_the_codes_of_both(tmp_path: Path) -> None:
     folder = write_project(tmp_path / "oven", "codes")
     result = invoke("firmware", "-C", str(folder), "--json")

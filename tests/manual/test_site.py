@@ -125,6 +125,7 @@ def test_stall_is_where_the_walk_of_every_step_ends():
     assert follow(target, 100.0, None)[-1] == pytest.approx(0.5, abs=1e-9)
 
 
+@pytest.mark.long
 def test_samples_raise_false_alarms_and_runs_do_not():
     by_samples, by_runs = count_alarms()
     assert (by_samples <= 0.05).mean() > 0.5

@@ -17,6 +17,7 @@ def test_every_trick_has_its_turn_and_changes_one_file(subject: Subject) -> None
     assert all(subject.files[file] != text for _, file, text in drawn)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("added", "seen"),
     [

@@ -12,6 +12,8 @@ from benchmarks.mutants.operators import OPERATORS
 from benchmarks.mutants.oracle import Finding, Oracle
 from benchmarks.mutants.subjects import Subject, make_folder
 
+pytestmark = pytest.mark.long
+
 CLAMPED = "in_1 = zd_clamp32(in->supply, -12000, 12000) * 4096;\n    ZD_OBSERVE"
 
 

@@ -28,7 +28,7 @@ def draw(simulator: str, **wanted: object) -> Sensor:
     raise AssertionError(simulator)
 
 
-@pytest.mark.parametrize("kind", list(wrong.KINDS))
+@pytest.mark.spread(5, "kind", list(wrong.KINDS))
 def test_a_fault_doubles_the_error_and_is_in_one_run_alone(kind: str) -> None:
     case = wrong.draw_wrong(kind, 0)
     assert case.harm >= DOUBLE

@@ -122,7 +122,7 @@ FORMS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "weights"), FORMS)
+@pytest.mark.spread(0, ("name", "weights"), FORMS)
 def test_network_becomes_equal_firmware(name: str, weights: str, project: Path) -> None:
     """Reference, C and integer ONNX agree at 0 LSB, and all of them with the float network."""
     config, dataset = open_project(project)
@@ -165,6 +165,7 @@ def invoke(*arguments: object) -> Result:
     return CliRunner().invoke(cli, [str(a) for a in arguments])
 
 
+@pytest.mark.long
 def test_command_writes_checked_firmware(project: Path) -> None:
     network = project.parent / "net.onnx"
     network.write_bytes(scale_inputs(NETWORKS["torch, window, two layers, relu"]))

@@ -55,7 +55,7 @@ def measure(
     return budget, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
 
-@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.spread(2, "name", NETWORKS)
 def test_budget_has_every_node_and_adds_up(name: str, project: Path, tmp_path: Path) -> None:
     budget, measured = measure(project, name, tmp_path)
     np.testing.assert_allclose(budget.total, measured, rtol=1e-6)
@@ -66,6 +66,7 @@ def test_budget_has_every_node_and_adds_up(name: str, project: Path, tmp_path: P
     assert all((node.rms > 0).all() for node in budget.nodes if node.node in ("gru", "drift"))
 
 
+@pytest.mark.long
 def test_budget_names_the_node_that_is_made_coarse(project: Path, tmp_path: Path) -> None:
     name = "two layers, window, relu"
     coarse_weights, _ = measure(project, name, tmp_path / "a", weights="int8")

@@ -23,6 +23,8 @@ from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.operations.gru.cell import FloatGru
 
+pytestmark = pytest.mark.long
+
 CASES = {
     "two layers and tanh, stream": export(Form(layers=2, activation="tanh", hidden=6)),
     "one layer and relu, window": export(

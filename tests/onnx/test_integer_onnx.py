@@ -47,7 +47,7 @@ def compare(model: IntegerModel, codes: NDArray[np.int16]) -> None:
             np.testing.assert_array_equal(got, want)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.spread(4, "name", CASES)
 def test_onnxruntime_replays_golden_vectors(name: str) -> None:
     golden = load(name)
     trace = OnnxModel(golden.model).run(golden.codes[None], settled=golden.settled)
@@ -59,6 +59,7 @@ def test_onnxruntime_replays_golden_vectors(name: str) -> None:
     assert crc_of(rows) == golden.crc
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=RELAXED)
 @given(shape=shapes(most_hidden=24), seed=st.integers(0, 2**31))
 def test_random_model_equals_reference(shape: Shape, seed: int) -> None:

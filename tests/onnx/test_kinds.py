@@ -27,11 +27,7 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.onnx_reader import (
-    ImportedNetwork,
-    read_imported,
-    read_imported_bytes,
-)
+from zerodrift.export.onnx_reader import ImportedNetwork, read_imported, read_imported_bytes
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.verify.chip_check import check_chip
@@ -120,7 +116,7 @@ def make_integer_model(imported: ImportedNetwork, weights: str = "int16") -> Int
     return quantize(model, calibration, weights)
 
 
-@pytest.mark.parametrize("name", TAKEN)
+@pytest.mark.spread(20, "name", TAKEN)
 def test_kind_is_read_as_onnxruntime_computes_it(name: str) -> None:
     kind = TAKEN[name]
     content, imported = read(kind)
@@ -155,7 +151,7 @@ def test_cells_are_read_beside_an_operator_that_onnx_cannot_evaluate() -> None:
 
 
 @pytest.mark.parametrize("weights", ["int16", "int8"])
-@pytest.mark.parametrize("name", TAKEN)
+@pytest.mark.spread(6, "name", TAKEN)
 def test_kind_is_the_same_everywhere(name: str, weights: str, tmp_path: Path) -> None:
     """Reference, C of this host, integer ONNX and cores agree at 0 LSB, under the certificate."""
     _, imported = read(TAKEN[name])

@@ -59,6 +59,7 @@ def test_page_on_the_integer_onnx_computes_the_chips_numbers(
     assert str(trace.drift[0, -1]) in capsys.readouterr().out
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_the_page_on_five_minutes_runs_from_the_network_to_the_c(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

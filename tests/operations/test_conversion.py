@@ -142,7 +142,7 @@ def test_a_converter_at_its_rails_has_no_reading() -> None:
         assert by.convert(np.array([code]))[0] != NONE, code
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.spread(1, "kind", KINDS)
 def test_reference_c_onnx_and_certificate_agree(kind: str, tmp_path: Path) -> None:
     model = make_model(kind)
     model.save(tmp_path / "model.json")
@@ -168,7 +168,7 @@ def test_reference_c_onnx_and_certificate_agree(kind: str, tmp_path: Path) -> No
     assert outcome.understood and not outcome.failures, outcome.failures
 
 
-@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4"])
+@pytest.mark.spread(0, "core", ["cortex-m0plus", "cortex-m4"])
 def test_emulated_cores_agree(core: str, tmp_path: Path) -> None:
     for number, kind in enumerate(("ntc", "ntc of 24 bits", "pt1000")):
         model = make_model(kind)

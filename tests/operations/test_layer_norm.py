@@ -186,7 +186,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("what", CHANGES)
+@pytest.mark.spread(1, "what", CHANGES)
 def test_the_proof_finds_other_numbers_than_the_model_s(what: str) -> None:
     model = draw_model(SHAPE, 3)
     texts = list_texts(generate(model))

@@ -110,7 +110,7 @@ def draw_pairs(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 @pytest.mark.parametrize("couple", SPANS)
-@pytest.mark.parametrize("lsb", [LSB, 2.0**-7])
+@pytest.mark.spread(0, "lsb", [LSB, 2.0**-7])
 def test_temperature_is_within_the_error_that_is_told(couple: str, lsb: float) -> None:
     by = make_conversion(couple, lsb)
     raw, cold = draw_pairs(200_000)
@@ -123,7 +123,7 @@ def test_temperature_is_within_the_error_that_is_told(couple: str, lsb: float) -
     by.check_form()
 
 
-@pytest.mark.parametrize(("couple", "converted"), [*((c, False) for c in SPANS), ("K", True)])
+@pytest.mark.spread(2, ("couple", "converted"), [*((c, False) for c in SPANS), ("K", True)])
 def test_reference_c_onnx_and_certificate_agree(
     couple: str, converted: bool, tmp_path: Path
 ) -> None:

@@ -39,7 +39,7 @@ def get_hidden(oracle: Oracle, answer: Answer) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.spread(8, "name", NAMES)
 def test_oracle_replays_golden_vectors(name: str) -> None:
     oracle = Oracle(GOLDEN / f"{name}.model.json")
     vectors = read_vectors(GOLDEN / f"{name}.vectors.json")
@@ -144,7 +144,7 @@ def compare_at_random(name: str, cold: int, settled: int, steps: int, seed: int)
     compare(model, oracle, sequences, [draw_codes(body, 1, rng) for _ in range(settled)])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.spread(5, "name", NAMES)
 def test_oracle_equals_reference_on_random_sequences(name: str) -> None:
     compare_at_random(name, cold=40 if name == "windowed" else 200, settled=8, steps=3, seed=0)
 
@@ -165,7 +165,7 @@ def compare_random_model(number: int, sequences: int, steps: int, folder: Path) 
     return {node["kind"] for node in oracle.nodes}
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.spread(3, "number", range(12))
 def test_oracle_equals_reference_on_random_models(number: int, tmp_path: Path) -> None:
     compare_random_model(number, 1, 12, tmp_path)
 

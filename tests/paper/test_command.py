@@ -21,6 +21,7 @@ def paper(zerodrift, cheap, monkeypatch, tmp_path):
     return run
 
 
+@pytest.mark.long
 def test_tables_stand_beside_the_paper_and_say_that_they_are_simulated(paper):
     out, result = paper()
     assert result.code == 0, result.err
@@ -40,6 +41,7 @@ def test_tables_stand_beside_the_paper_and_say_that_they_are_simulated(paper):
     assert "no SVG, PDF or PNG was made" in result.err
 
 
+@pytest.mark.long
 def test_json_holds_tables_findings_and_files(paper):
     out, result = paper("--json")
     told = json.loads(result.out)

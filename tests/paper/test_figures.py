@@ -13,6 +13,8 @@ from zerodrift_lab.paper.figures import draw_heat
 from zerodrift_lab.paper.summary import Spread
 from zerodrift_lab.paper.why import Heat
 
+pytestmark = pytest.mark.long
+
 CHAMBER, BENCH, SECOND = "the chamber alone", "the chamber and bench logs", "a second thermometer"
 
 

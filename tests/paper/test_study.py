@@ -15,6 +15,7 @@ from zerodrift_lab.paper.world import TESTS, record_test, record_training
 CELLS = [Cell("lsm_linear", 1), Cell("lsm_cubic", 1)]
 
 
+@pytest.mark.long
 def test_test_runs_are_none_of_the_training_runs():
     for logs in ("chamber", "varied", "unwalked", "loaded"):
         train = record_training(1, logs, False)

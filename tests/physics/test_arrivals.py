@@ -117,6 +117,7 @@ def test_the_model_predicts_from_rest_and_says_which_runs_were_not():
     np.testing.assert_allclose(model.predict(run), wanted, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_hysteresis_that_remembers_is_named_and_then_nothing_is_missing():
     data = make_dataset(remembering(SIDES), runs=8, tared=False)
     catalogue = load_catalogue()

@@ -384,7 +384,7 @@ def make_turned_on(decays):
     return replace(dataset, train=tuple(train), dwell=still)
 
 
-@pytest.mark.parametrize("decays", [False, True])
+@pytest.mark.spread(0, "decays", [False, True])
 def test_a_zero_drawn_at_power_on_is_named_where_it_was_logged(decays):
     dataset = make_turned_on(decays)
     found = diagnose([EffectConfig("zero_tempco")], dataset)

@@ -52,6 +52,7 @@ def call(*arguments):
     return CliRunner().invoke(cli, [str(a) for a in arguments], catch_exceptions=False)
 
 
+@pytest.mark.long
 def test_diagnose_names_the_lag_in_words_and_in_json(project):
     before = (project / "zerodrift.toml").read_bytes()
     said = call("diagnose", "-C", project)
@@ -65,6 +66,7 @@ def test_diagnose_names_the_lag_in_words_and_in_json(project):
     assert (project / "zerodrift.toml").read_bytes() == before
 
 
+@pytest.mark.long
 def test_diagnose_auto_goes_on_until_complete(project):
     told = json.loads(call("diagnose", "-C", project, "--auto", "--json").stdout)
     assert [step["effect"] for step in told["added"]] == ["thermal_lag"]

@@ -35,6 +35,7 @@ def test_complete_model_is_called_complete(tempco):
     assert diagnosis.floor_ratio_after == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.long
 def test_lag_is_named_and_brings_the_error_to_the_floor(tempco):
     diagnosis = diagnose(tempco, make_dataset(lagging, length=600))
     assert (diagnosis.verdict, diagnosis.effect) == ("missing", "thermal_lag")
@@ -60,6 +61,7 @@ def test_two_effects_are_found_one_after_the_other(tempco):
     assert course.drop == ()
 
 
+@pytest.mark.long
 def test_effect_whose_channel_is_missing_is_unknown_and_the_channel_told(tempco):
     diagnosis = diagnose(tempco, make_dataset(powered, length=600, inputs=()))
     assert (diagnosis.verdict, diagnosis.effect) == ("unknown", None)
@@ -111,6 +113,7 @@ def test_quadratic_zero_shift_is_named_as_a_higher_order(tempco):
     assert diagnosis.parameters["order"] in (2, 3)
 
 
+@pytest.mark.long
 def test_clipped_samples_are_set_aside(tempco):
     dataset = make_dataset(linear, length=600, tared=False)
     train = [replace(run, measured=np.clip(run.measured, -300.0, 300.0)) for run in dataset.train]
@@ -119,6 +122,7 @@ def test_clipped_samples_are_set_aside(tempco):
     assert diagnosis.floor_ratio_after == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.long
 def test_few_runs_are_called_thin_evidence(tempco):
     four = diagnose(tempco, make_dataset(lagging, runs=4, length=500))
     assert four.effect == "thermal_lag"
@@ -127,6 +131,7 @@ def test_few_runs_are_called_thin_evidence(tempco):
     assert one.evidence.startswith("thin: 1 run was cut into 8 pieces")
 
 
+@pytest.mark.long
 def test_floor_without_a_dwell_is_called_estimated(tempco):
     diagnosis = diagnose(tempco, make_dataset(lagging, length=500, dwell=False))
     assert diagnosis.effect == "thermal_lag"
@@ -147,6 +152,7 @@ def test_idle_effect_is_proposed_for_removal():
     assert course.drop == ("supply_sensitivity",)
 
 
+@pytest.mark.long
 def test_verdict_is_the_same_twice_and_fits_json(tempco):
     dataset = make_dataset(lagging, runs=4, length=300)
     one, two = (json.dumps(to_dict(diagnose(tempco, dataset))) for _ in range(2))
@@ -174,6 +180,7 @@ def test_next_experiment_tells_lookalikes_apart(tempco):
         assert diagnosis.next_experiment
 
 
+@pytest.mark.long
 def test_crosstalk_beside_a_span_shift_of_each_output_is_testable():
     """What one output's own columns imitate is no imitation in another output."""
 
@@ -188,7 +195,7 @@ def test_crosstalk_beside_a_span_shift_of_each_output_is_testable():
     assert diagnosis.floor_ratio_after < 1.15
 
 
-@pytest.mark.parametrize("runs", [2, 4])
+@pytest.mark.spread(1, "runs", [2, 4])
 def test_complete_model_with_few_runs_is_given_no_name(tempco, runs):
     for seed in range(2):
         dataset = make_dataset(linear, runs=runs, length=400, seed=seed)
@@ -254,6 +261,7 @@ def test_a_play_as_wide_as_its_signals_noise_is_unsound(kind, values, is_sound):
     assert are_sound(played, span) is is_sound
 
 
+@pytest.mark.long
 def test_a_noisy_reference_is_no_hysteresis():
     """What remembers the load lacks the reference's noise, so that it lowers the error by it."""
 
@@ -288,6 +296,7 @@ def test_what_remembers_the_load_must_gain_more_than_the_references_noise():
     assert span.is_more_than_smoothing(span_shift, little)
 
 
+@pytest.mark.long
 def test_what_is_surely_there_is_named_though_much_is_left(monkeypatch):
     def disturbed(bench):
         rng = np.random.default_rng(int(1e6 * bench.supply[0] + 1e3 * bench.temperature[0]) % 2**31)

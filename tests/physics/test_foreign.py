@@ -8,6 +8,8 @@ from benchmarks.foreign import __main__ as runner
 from benchmarks.foreign import case, effects, files, judge, world
 from scipy.integrate import solve_ivp
 
+pytestmark = pytest.mark.long
+
 
 def diagnose(home, kind, hidden, seed):
     recipe = case.Recipe(kind, hidden, size=5, runs=8, seed=seed)

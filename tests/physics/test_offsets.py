@@ -74,6 +74,7 @@ def late(dataset, starts):
     return replace(dataset, train=tuple(train))
 
 
+@pytest.mark.long
 def test_warm_up_is_found_where_no_log_begins_at_zero(tempco):
     dataset = late(make_dataset(warming, length=300), [4096.0] * 8)
     diagnosis = diagnose(tempco, dataset)
@@ -108,11 +109,7 @@ def test_what_the_project_says_of_a_tare_holds(tempco, said):
     told = replace(dataset, train=runs)
     assert lay_out(tempco, told).tared is said
     model = fit(
-        tempco,
-        runs,
-        outputs=dataset.outputs,
-        units=dataset.units,
-        full_scale=dataset.full_scale,
+        tempco, runs, outputs=dataset.outputs, units=dataset.units, full_scale=dataset.full_scale
     )
     assert model.tared is said
     remarks = diagnose(tempco, told).remarks
@@ -120,7 +117,7 @@ def test_what_the_project_says_of_a_tare_holds(tempco, said):
     assert not any("set [logs] tared = false" in r for r in remarks), "what is stated is not asked"
 
 
-@pytest.mark.parametrize("runs", [3, 4, 5])
+@pytest.mark.spread(1, "runs", [3, 4, 5])
 def test_few_offsets_on_a_line_over_the_clock_are_ageing(tempco, runs):
     apart = np.array([0.0, 3.5, 1.0, 7.0, 4.0])[:runs]
     dataset = make_dataset(linear, length=300, runs=runs, tared=False)
@@ -135,13 +132,14 @@ def test_few_offsets_on_a_line_over_the_clock_are_ageing(tempco, runs):
     assert (diagnosis.verdict, diagnosis.effect) == ("missing", "ageing")
 
 
-@pytest.mark.parametrize("runs", [3, 4, 5])
+@pytest.mark.spread(1, "runs", [3, 4, 5])
 def test_few_offsets_drawn_at_random_are_a_tare(tempco, runs):
     dataset = with_clock(make_dataset(linear, length=300, runs=runs, tared=False))
     draws = np.random.default_rng(runs).normal(size=(8, runs)) * 20.0
     assert all(lay_out(tempco, shifted(dataset, offsets)).tared for offsets in draws)
 
 
+@pytest.mark.long
 def test_ageing_that_no_line_follows_is_kept_as_add_keeps_it(tempco):
     """By a straight line the offsets stay a tare; not by a power of time, which `add` tries."""
     age = 60.0 * np.arange(8.0) ** 0.5

@@ -12,7 +12,7 @@ from zerodrift.physics.reduction import MEANS
 TEMPCO = [EffectConfig("zero_tempco")]
 
 
-@pytest.mark.parametrize("seed", [900, 901, 902, 903])
+@pytest.mark.spread(1, "seed", [900, 901, 902, 903])
 def test_slow_memory_of_one_run_is_named_with_its_time_constant(seed):
     dataset, tau_s, length_s = draw_record("memory", seed, 5.0)
     found = diagnose(TEMPCO, dataset)
@@ -23,7 +23,7 @@ def test_slow_memory_of_one_run_is_named_with_its_time_constant(seed):
 
 
 @pytest.mark.parametrize("kind", ["random_walk", "flicker", "ageing", "complete"])
-@pytest.mark.parametrize("seed", [900, 901, 902])
+@pytest.mark.spread(1, "seed", [900, 901, 902])
 def test_slow_noise_of_one_run_is_no_thermal_effect(kind, seed):
     found = diagnose(TEMPCO, draw_record(kind, seed, 5.0)[0])
     assert not {found.effect, *found.lookalikes} & THERMAL

@@ -57,6 +57,7 @@ def test_values_stay_within_one_standard_error_of_the_clean_fit(clean, share):
     )
 
 
+@pytest.mark.long
 def test_effect_is_named_and_outliers_are_counted(clean, tempco):
     diagnosis = diagnose(tempco, spoil(clean, 0.02))
     assert (diagnosis.verdict, diagnosis.effect) == ("missing", "thermal_lag")
@@ -83,6 +84,7 @@ def test_errors_are_told_over_all_rows_and_beside_it_without_outliers(clean):
     assert fz.noise_floor == pytest.approx(expected.outputs["Fz"].noise_floor, rel=0.03)
 
 
+@pytest.mark.long
 def test_samples_before_a_load_that_drifts_are_sound_once_the_model_explains_them():
     """Loads put on two samples after the log begins: at the first two, all of their drift lacks."""
 

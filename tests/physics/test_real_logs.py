@@ -102,6 +102,7 @@ def test_cubic_predicts_no_better_than_a_line(tmp_path):
     assert cubic > 0.95 * line
 
 
+@pytest.mark.long
 def test_slow_memory_of_the_divider_is_found(tmp_path):
     name = "resistor_vhd200_oven_ramps.csv"
     runs = [f"{name}#run{number}" for number in (11, 12, 13)]

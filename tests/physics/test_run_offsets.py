@@ -36,6 +36,7 @@ def test_offsets_by_a_law_of_the_clock_are_a_trend_in_their_order_alone(runs, la
     assert not weigh_trend(law(days)[mixed][:, None], days).is_real
 
 
+@pytest.mark.long
 def test_chance_is_as_often_as_it_is_said():
     """Offsets at random, normal or heavy-tailed, are a trend no more often than TREND_BY_CHANCE."""
     rng = np.random.default_rng(11)
@@ -63,7 +64,7 @@ def test_two_runs_and_runs_at_one_time_tell_nothing():
     assert not weigh_trend(np.arange(4.0)[:, None], np.full(4, 7.0)).is_real
 
 
-@pytest.mark.parametrize("runs", [5, 8])
+@pytest.mark.spread(0, "runs", [5, 8])
 def test_ageing_by_a_logarithm_is_named_and_kept(tempco, runs):
     """No line and no power leaves the noise: the runs would still have offsets of their own."""
     days = DAYS[:runs]

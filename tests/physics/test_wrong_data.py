@@ -133,7 +133,7 @@ KINDS_TRIED = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS_TRIED)
+@pytest.mark.spread(3, "kind", KINDS_TRIED)
 def test_wrong_run_is_told_by_its_own_name(clean, kind):
     spoil, column = KINDS_TRIED[kind]
     train = list(clean.train)

@@ -12,6 +12,7 @@ QUICK = ("--hours", "2", "--budget", "2", "--target", "0.1%")
 PAIR = ("--between", "creep", "load_hysteresis")
 
 
+@pytest.mark.long
 def test_a_plan_before_any_log(tmp_path, zerodrift):
     write_blank(tmp_path)
     file = tmp_path / "plan.csv"
@@ -35,12 +36,14 @@ def test_a_plan_before_any_log(tmp_path, zerodrift):
     assert "plotly" in picture.read_text(encoding="utf-8").lower()
 
 
+@pytest.mark.long
 def test_a_plan_in_words(tmp_path, zerodrift):
     told = zerodrift("plan", "-C", write_blank(tmp_path), *QUICK, *PAIR)
     assert "PLAN: " in told.out and "named alone" in told.out
     assert "noise of 0.01 % of full scale, assumed" in told.err
 
 
+@pytest.mark.long
 def test_limits_beside_those_of_the_file(tmp_path, zerodrift):
     write_blank(tmp_path)
     within = "temperature_degC = [20, 30]; heating_K_per_min = 1"
@@ -82,6 +85,7 @@ def test_pairs_that_nothing_can_tell_apart_are_refused(tmp_path, zerodrift, pair
     assert told in found.err
 
 
+@pytest.mark.long
 def test_the_python_face_plans_too(tmp_path):
     project = zd.Project(write_blank(tmp_path))
     plan = project.plan(2.0, between=("creep", "load_hysteresis"), target=0.001, budget_s=2.0)

@@ -49,12 +49,14 @@ def planned():
     return plan("creep", "load_hysteresis")
 
 
+@pytest.mark.long
 def test_the_best_programme_is_no_worse_than_the_first_answer(planned):
     assert planned.best.tried > 20
     assert planned.first_cpu_s <= planned.cpu_s
     assert expect_verdicts(planned.told).mean() > 0.5
 
 
+@pytest.mark.long
 def test_a_programme_without_loads_tells_nothing_of_load_effects(planned):
     judge = Judge(planned.scene, planned.limits, (), (0,))
     still = Log(
@@ -65,6 +67,7 @@ def test_a_programme_without_loads_tells_nothing_of_load_effects(planned):
     assert expect_verdicts(told).max() < 0.01
 
 
+@pytest.mark.long
 def test_a_pure_ramp_cannot_tell_what_is_proportional_on_it():
     """The gain of an effect is its squared size over the noise, worked out by hand for one step."""
     planned = plan("crosstalk", "load_hysteresis")
@@ -109,6 +112,7 @@ def test_a_pure_ramp_cannot_tell_what_is_proportional_on_it():
     assert twice.gain[0, 0] == pytest.approx(2.0 * told.gain[0, 0], rel=1e-9)
 
 
+@pytest.mark.long
 def test_effects_that_are_not_open_may_be_taken_for_one_that_is():
     """A thermal lag of a short time constant is nearly the delay that it is mistaken for."""
     planned = plan("clock_delay", "creep", hours=1.0)
@@ -126,8 +130,7 @@ def test_an_effect_and_its_own_model_are_not_apart(planned):
     node = creep.forms[0].models[3]
     truth = replace(creep.truths[0], terms=node)
     scene = replace(
-        planned.scene,
-        contenders=(replace(other, truths=(truth,) * len(other.truths)), creep),
+        planned.scene, contenders=(replace(other, truths=(truth,) * len(other.truths)), creep)
     )
     judge = Judge(scene, planned.limits, (), (0,))
     told = judge.judge(planned.best.space, planned.best.point)
@@ -146,6 +149,7 @@ def test_coefficients_are_those_of_the_octaves_over_their_noise(planned):
     assert white.whiten(x, 0)[0, :, 0] == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.long
 def test_a_slow_zero_shift_is_a_rival_of_a_gradient_once_there_are_four_logs(monkeypatch):
     monkeypatch.setattr("zerodrift.discovery.plan.FEW", ())
     planned = plan("thermal_lag", "thermal_gradient", hours=4.0)
@@ -217,6 +221,7 @@ def test_long_logs_reach_every_temperature(planned):
     assert {planned.limits.low_degC, planned.limits.high_degC} <= reached
 
 
+@pytest.mark.long
 def test_an_effect_is_as_large_whatever_the_hours():
     """A short plan had taken for a target what it can move within its own time."""
 
@@ -266,11 +271,13 @@ def test_a_rival_in_disguise_is_no_lookalike_unless_by_chance():
     assert tell_disguised(apart, distance, np.ones(3)) == pytest.approx([0.5, 0.5, 1.0], abs=1e-6)
 
 
+@pytest.mark.long
 def test_more_hours_tell_no_less():
     short, long = (plan("creep", "load_hysteresis", hours=h, target=0.00005) for h in (0.5, 4.0))
     assert expect_verdicts(long.told).mean() > expect_verdicts(short.told).mean()
 
 
+@pytest.mark.long
 def test_the_same_question_has_the_same_answer():
     """With a budget that the search does not use up: the first answers alone decide."""
     one, two = (plan("creep", "load_hysteresis", budget_s=1.0) for _ in range(2))

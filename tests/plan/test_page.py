@@ -5,7 +5,11 @@ import re
 import shlex
 from pathlib import Path
 
+import pytest
+
 from tests.plan.projects import HEAD
+
+pytestmark = pytest.mark.long
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/plan-an-experiment.md"
 

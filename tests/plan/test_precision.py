@@ -84,6 +84,7 @@ def test_what_is_known_of_the_design_saves_time():
     assert known.error[0] < fresh.error[0]
 
 
+@pytest.mark.long
 def test_further_units_take_the_fewest_hours_that_do():
     question = Question(2.0, target=0.001, budget_s=3.0, units=10)
     found = plan_precisely(
@@ -115,6 +116,7 @@ def test_a_programme_covers_what_the_model_is_used_for():
     assert measure_cover([used], judge.stage([loaded], np.ones(1)), ("Fz",)) < 0.99
 
 
+@pytest.mark.long
 def test_an_error_promised_beyond_the_logs_is_not_reached():
     question = Question(0.5, target=0.001, budget_s=1.0, criterion="error")
     found = plan_precisely(CONFIG, None, CATALOGUE, question)
@@ -132,6 +134,7 @@ def test_a_model_without_effects_and_a_run_that_is_not_there_are_refused():
         plan_precisely(CONFIG, None, CATALOGUE, question)
 
 
+@pytest.mark.long
 def test_the_command_says_what_is_known_then(tmp_path, zerodrift):
     write_blank(tmp_path)
     options = ("--hours", "1", "--budget", "2", "--criterion", "precision")
@@ -143,6 +146,7 @@ def test_the_command_says_what_is_known_then(tmp_path, zerodrift):
     assert "Known then" in told.out and "Error of the model" in told.out
 
 
+@pytest.mark.long
 def test_before_any_log_several_models_are_planned_for_and_the_target_is_judged():
     question = Question(2.0, target=0.001, budget_s=2.0, criterion="error")
     found = plan_precisely(CONFIG, None, CATALOGUE, question)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tests.plan.test_programme import SPACE
 from zerodrift.discovery.search import Best, find_programme
@@ -15,6 +16,7 @@ def nearness(target):
 TARGET = np.random.default_rng(5).random(SPACE.size)
 
 
+@pytest.mark.long
 def test_the_search_gets_nearer_than_designs_do():
     first: list[Best] = []
     best = find_programme([SPACE], nearness(TARGET), 1.5, lambda text: None, first.append)

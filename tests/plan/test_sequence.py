@@ -95,6 +95,7 @@ def test_the_loop_takes_no_other_refusal_for_its_end(monkeypatch):
         run_loop(RECIPE, 4.0)
 
 
+@pytest.mark.long
 def test_the_loop_ends_with_what_is_hidden():
     looped = run_loop(RECIPE, 4.0)
     first, *_, named, last = looped.rounds
@@ -136,6 +137,7 @@ def test_the_loop_does_not_end_with_complete_on_few_runs(monkeypatch):
     assert looped.ended == "sure" and looped.added == ("creep",)
 
 
+@pytest.mark.long
 def test_the_loop_stops_when_the_hours_are_spent():
     looped = run_loop(RECIPE, 1.0)
     assert looped.ended == "hours spent" and len(looped.rounds) == 1

@@ -10,6 +10,8 @@ from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.train.black_box.compare import learn_bank, pose, try_black_boxes
 
+pytestmark = pytest.mark.long
+
 
 def open_case(kind, runs=5, seed=3):
     case = simulate(kind, 5.0, runs, seed)

@@ -97,9 +97,7 @@ def test_the_gain_in_runs_left_out_is_that_of_a_fit_to_the_others():
     x, rest = rng.standard_normal((2, 5, 40))
     rest = rest + 0.7 * x
     gains, chance = judge(
-        (x * rest).sum(axis=1)[None, :, None],
-        (x * x).sum(axis=1)[None, :, None],
-        draw_signs(5),
+        (x * rest).sum(axis=1)[None, :, None], (x * x).sum(axis=1)[None, :, None], draw_signs(5)
     )
     expected = 0.0
     for run in range(5):

@@ -1,6 +1,7 @@
 """What the comparison gives other methods: offsets left open, and the same rows for all."""
 
 import numpy as np
+import pytest
 from benchmarks.bench_peers import Trial, gather, run_trials, tell, try_peer
 from benchmarks.bench_propose import RIGHT
 from benchmarks.formula_cases import FORMS, simulate
@@ -34,6 +35,7 @@ def test_a_form_of_the_library_is_found_nearly_to_the_noise():
     assert 0.99 < try_peer("forward OLS", case, 2) < 1.15
 
 
+@pytest.mark.long
 def test_outcomes_are_kept_and_told(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("benchmarks.bench_peers.METHODS", {})
     monkeypatch.setattr("benchmarks.bench_peers.try_propose", lambda case: 1.01)

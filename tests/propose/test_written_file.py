@@ -1,7 +1,11 @@
 """`propose --write`: a file is written once, may be asked for again, and is never replaced."""
 
+import pytest
+
 from tests.faults.projects import prepare_formula
 from zerodrift.diagnosis.formula.proposal import is_proposed
+
+pytestmark = pytest.mark.long
 
 
 def test_the_same_command_given_again_finds_its_own_file(tmp_path, zerodrift):

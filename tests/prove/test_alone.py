@@ -62,6 +62,7 @@ def folder(tmp_path: Path) -> Path:
     return firmware
 
 
+@pytest.mark.long
 def test_alone_it_shows_what_verify_shows(folder: Path) -> None:
     done = run_alone(str(folder))
     assert (done.returncode, done.stderr) == (0, "")
@@ -81,6 +82,7 @@ def test_alone_it_shows_what_verify_shows(folder: Path) -> None:
     assert json.loads(done.stdout)["certificate"] == "refused"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHAPES)
 def test_no_change_of_a_model_is_proven_or_a_traceback(name: str, tmp_path: Path) -> None:
     """Each file is given the hash of its new content; the C is the old model's."""

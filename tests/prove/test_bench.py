@@ -5,6 +5,8 @@ from benchmarks import bench_proof
 
 from zerodrift_proof.equality.build import PROVEN, ShownPart
 
+pytestmark = pytest.mark.long
+
 
 def test_random_models_are_proven(capsys: pytest.CaptureFixture[str]) -> None:
     assert bench_proof.prove_models(2, seed=77)

@@ -47,6 +47,7 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_words_json_and_exit_codes(project: Path) -> None:
     found = CliRunner().invoke(cli, ["verify", "-C", str(project), "--prove"])
     assert found.exit_code == 0, found.output
@@ -78,6 +79,7 @@ def test_without_the_checkers_it_is_told_how_to_install_them(
     assert "pip install ./proof" in str(found.exception)
 
 
+@pytest.mark.long
 def test_a_program_is_proven_too(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """`--elf`: each kernel in it is told with the program's name; what is none is bad input."""
     model = load("effects").model

@@ -123,7 +123,7 @@ CASES = [(name, False) for name in LONG]
 CASES += [(name, True) for name in LONG if name not in ("b.cond", "b.any", "uqadd8")]
 
 
-@pytest.mark.parametrize(("name", "symbols"), CASES)
+@pytest.mark.spread(15, ("name", "symbols"), CASES)
 def test_long_instructions(chip: Chip, name: str, symbols: bool) -> None:
     draw_long_instructions(chip, name, symbols, 60)
 

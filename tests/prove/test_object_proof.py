@@ -19,15 +19,12 @@ from zerodrift_proof.equality.kernels import Layers
 from zerodrift_proof.equality.specification import Specification
 from zerodrift_proof.equality.terms import Terms
 from zerodrift_proof.object.image import Image, ProgramError, read_image
-from zerodrift_proof.object.program import (
-    BUILDS,
-    check_program,
-    show_program,
-)
+from zerodrift_proof.object.program import BUILDS, check_program, show_program
 
-pytestmark = pytest.mark.skipif(
-    not find_cross_compilers("cortex-m4"), reason="needs the ziglang wheel"
-)
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not find_cross_compilers("cortex-m4"), reason="needs the ziglang wheel"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,8 @@ from zerodrift_proof.equality.build import OPEN, TESTED, ShownPart
 from zerodrift_proof.equality.prove import show_kernels
 from zerodrift_proof.object.program import ProvenKernels
 
+pytestmark = pytest.mark.long
+
 Texts = dict[str, str]
 GUARDED = ("ordinary", "effects", "no_reading", "lstm")
 

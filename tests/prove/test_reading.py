@@ -32,13 +32,13 @@ def read(texts: Texts, prefix: str) -> None:
     assert list(list_ways(texts, prefix))
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.spread(4, "name", CASES)
 def test_golden_models_are_read(name: str) -> None:
     code = generate(load(name).model)
     read(add_runtime(code), code.prefix)
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.spread(2, "number", range(6))
 def test_random_models_are_read(number: int) -> None:
     code = generate(draw_case(4127, number).model)
     read(add_runtime(code), code.prefix)
@@ -50,7 +50,7 @@ def test_blocks_are_read() -> None:
         read(add_runtime(code), code.prefix)
 
 
-@pytest.mark.parametrize("name", ["raw", "asleep", "layer_norm", "stack", "guarded"])
+@pytest.mark.spread(2, "name", ["raw", "asleep", "layer_norm", "stack", "guarded"])
 def test_conversions_steps_of_any_time_and_layers_are_read(name: str) -> None:
     code = generate(draw_subject(name))
     read(add_runtime(code), code.prefix)
@@ -162,7 +162,7 @@ CODE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", CODE)
+@pytest.mark.spread(20, "what", CODE)
 def test_what_the_generator_never_writes_is_refused(what: str) -> None:
     before, after, told = CODE[what]
     texts = {**write_front_end()}

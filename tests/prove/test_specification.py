@@ -91,14 +91,14 @@ def hold(model: IntegerModel, codes: CodeArray, settled: bool) -> None:
                     assert [c.low for c in cells] == values[0].tolist()
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.spread(4, "name", CASES)
 def test_golden_models(name: str) -> None:
     golden = load(name)
     hold(golden.model, golden.codes, golden.settled)
     hold(golden.model, golden.codes[3:], not golden.settled)
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.spread(3, "number", range(12))
 def test_random_models(number: int) -> None:
     case = draw_case(71, number)
     hold(case.model, case.codes[0], case.settled)

@@ -110,7 +110,7 @@ class Draw:
 
 
 @pytest.mark.parametrize("make", [Terms, WordTerms])
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.spread(20, "seed", range(40))
 def test_normal_forms_keep_their_value_and_range(seed: int, make: type[Terms]) -> None:
     draw = Draw(seed, make())
     for _ in range(60):

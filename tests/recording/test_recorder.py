@@ -121,10 +121,7 @@ def test_coverage_counts_ranges_rates_and_time() -> None:
     shares = {one.what: one.share for one in told.wanted}
     assert shares["T"] == 1.0 and shares["time"] == 1.0 and shares["load"] == 0.5
     assert told.heating_K_per_min == pytest.approx(2.0, abs=0.01) and shares["cooling"] == 0.0
-    assert explain_missing(told) == [
-        "load: 0 to 25 so far; go up to 50",
-        "cooling: 0 of 2 K/min",
-    ]
+    assert explain_missing(told) == ["load: 0 to 25 so far; go up to 50", "cooling: 0 of 2 K/min"]
     for second in range(601, 1201):
         coverage.add(float(second), {"T": 30.0 - (second - 600) / 30.0, "load": 50.0})
     assert coverage.describe().enough is True
@@ -175,6 +172,7 @@ def test_the_command_records_and_says_so(tmp_path: Path) -> None:
     assert frame["temperature_degC"][49] == 20.49
 
 
+@pytest.mark.long
 def test_a_recorded_log_is_a_log_of_the_project(tmp_path: Path) -> None:
     (tmp_path / "zerodrift.toml").write_text(TOML)
     (tmp_path / "logs").mkdir()
@@ -227,7 +225,7 @@ def test_no_row_is_an_error_that_shows_what_came(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.spread(0, "by", [signal.SIGINT, signal.SIGTERM])
 def test_ended_by_hand_or_by_the_system(tmp_path: Path, by: signal.Signals) -> None:
     out = tmp_path / "log.parquet"
     source = write_device(tmp_path, 100_000, 0.01)

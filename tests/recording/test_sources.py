@@ -162,6 +162,7 @@ def broker() -> Iterator[int]:
     process.wait()
 
 
+@pytest.mark.long
 def test_mqtt_of_a_real_broker(broker: int) -> None:
     from paho.mqtt import publish
 

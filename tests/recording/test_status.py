@@ -92,6 +92,7 @@ def wait_for_rows(folder: Path, rows: int) -> RecordingStatus:
     raise AssertionError("no recorder told of so many rows")
 
 
+@pytest.mark.long
 def test_a_recorder_tells_of_itself_and_that_it_has_ended(tmp_path: Path) -> None:
     folder = make_project(tmp_path / "cell")
     log = folder / "logs" / "a.parquet"
@@ -119,6 +120,7 @@ def test_a_recorder_tells_of_itself_and_that_it_has_ended(tmp_path: Path) -> Non
     assert other.file.endswith("b.parquet")
 
 
+@pytest.mark.long
 def test_a_killed_recorder_is_told_from_one_that_ended(tmp_path: Path) -> None:
     folder = make_project(tmp_path / "cell")
     log = folder / "logs" / "a.parquet"

@@ -4,6 +4,8 @@ import pytest
 from benchmarks.bench_numbers import ShownNumber, list_numbers, write_case
 from benchmarks.shown_tables import ShownTable, list_page, list_report, list_terminal, read_text
 
+pytestmark = pytest.mark.long
+
 dash = pytest.importorskip("dash", reason="dash is not installed; `make setup` installs it")
 
 TERMINAL = """

@@ -95,6 +95,7 @@ def draw_damaged_text(draw_from):
     return "\n".join(map(" ".join, lines))
 
 
+@pytest.mark.long
 @settings(max_examples=400, deadline=None)
 @given(draw_damaged_text())
 def test_any_text_is_drawn_or_refused_with_its_place(text):

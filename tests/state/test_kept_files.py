@@ -71,7 +71,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return project
 
 
-@pytest.mark.parametrize("how", SPOILT)
+@pytest.mark.spread(2, "how", SPOILT)
 def test_a_compensator_that_is_not_as_written_is_trained_again(
     how: str, trained: Path, zerodrift: Command
 ) -> None:
@@ -130,6 +130,7 @@ def test_sealed_files_give_back_what_they_hold(value: object) -> None:
         render_sealed({"x": float("nan")})
 
 
+@pytest.mark.long
 def test_files_of_the_user_are_never_replaced(tmp_path: Path, zerodrift: Command) -> None:
     rest = REST + '\n[firmware]\nout = "src"\n'
     project = write_project(tmp_path / "project", rest)
@@ -217,6 +218,7 @@ def test_a_wait_that_is_no_number_is_refused(
         pass
 
 
+@pytest.mark.long
 def test_eight_adds_at_once_all_hold(tmp_path: Path) -> None:
     """Every effect that is said to be added is in zerodrift.toml and in the history."""
     project = tmp_path / "project"

@@ -16,6 +16,8 @@ from tests.conftest import Result
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.export.golden import load_golden
 
+pytestmark = pytest.mark.long
+
 STORED = Path(__file__).parent / "stored"
 Command = Callable[..., Result]
 

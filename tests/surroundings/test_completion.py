@@ -1,6 +1,9 @@
 """A shell that asks for completions gets them and nothing else."""
 
+import pytest
 from tests.surroundings.conftest import Run
+
+pytestmark = pytest.mark.long
 
 
 def test_commands_are_completed(run: Run) -> None:

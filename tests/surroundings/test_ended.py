@@ -8,6 +8,8 @@ import time
 import pytest
 from tests.loop.conftest import write_project
 
+pytestmark = pytest.mark.long
+
 SLEEPS = """
 import time
 from pathlib import Path

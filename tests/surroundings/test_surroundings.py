@@ -23,6 +23,7 @@ needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX only")
 ODD_NAMES = ["a%b", "tab\tb", "new\nline", 'quote"b', "back\\slash", "a'b", "dollar$b", "ä b"]
 
 
+@pytest.mark.long
 @needs_posix
 def test_firmware_is_built_without_a_home(project: Path, run: Run) -> None:
     done = run("firmware", "-C", project, without=("HOME", "XDG_CACHE_HOME"))
@@ -30,6 +31,7 @@ def test_firmware_is_built_without_a_home(project: Path, run: Run) -> None:
     assert (project / "firmware/small.c").is_file()
 
 
+@pytest.mark.long
 @needs_posix
 @pytest.mark.parametrize(
     "name", [ODD_NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in ODD_NAMES[1:])]
@@ -52,6 +54,7 @@ def test_compilers_work_in_folders_with_plain_names(name: str, tmp_path: Path) -
     assert not list(odd.iterdir())
 
 
+@pytest.mark.long
 @needs_posix
 def test_a_closed_stdout_is_no_error(project: Path, run: Run) -> None:
     done = run("compare", "-C", project, preexec_fn=lambda: __import__("os").close(1))
@@ -59,6 +62,7 @@ def test_a_closed_stdout_is_no_error(project: Path, run: Run) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 @needs_posix
 def test_a_reader_that_has_gone_gets_no_message(project: Path, run: Run) -> None:
     """As in `zerodrift compare | head`."""
@@ -71,6 +75,7 @@ def test_a_reader_that_has_gone_gets_no_message(project: Path, run: Run) -> None
     assert (done.returncode, done.stderr) == (1, "")
 
 
+@pytest.mark.long
 @needs_posix
 def test_a_full_stdout_is_told_as_such(project: Path, run: Run) -> None:
     with Path("/dev/full").open("w") as full:
@@ -78,6 +83,7 @@ def test_a_full_stdout_is_told_as_such(project: Path, run: Run) -> None:
     assert_one_message(done, 2, "standard output", "No space left")
 
 
+@pytest.mark.long
 def test_names_beyond_ascii_are_printed_on_an_ascii_terminal(tmp_path: Path, run: Run) -> None:
     project = write_project(tmp_path / "p", output=OUTPUT.replace("[outputs.y]", '[outputs."yä"]'))
     ascii_only = {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
@@ -105,6 +111,7 @@ def test_commands_that_read_no_log_load_the_libraries_too(command: str, run: Run
     assert_one_message(done, 2, "1.25 GB at least")
 
 
+@pytest.mark.long
 @needs_posix
 def test_help_needs_no_memory_to_speak_of(run: Run) -> None:
     done = run("compare", "--help", preexec_fn=lambda: limit_address_space(700_000))
@@ -112,7 +119,7 @@ def test_help_needs_no_memory_to_speak_of(run: Run) -> None:
 
 
 @needs_posix
-@pytest.mark.parametrize("limit_kB", [1_300_000, pytest.param(1_500_000, marks=pytest.mark.slow)])
+@pytest.mark.spread(0, "limit_kB", [1_300_000, pytest.param(1_500_000, marks=pytest.mark.slow)])
 def test_little_memory_is_told_before_a_library_gives_up(
     limit_kB: int, project: Path, run: Run
 ) -> None:

@@ -27,6 +27,7 @@ def stranger(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_report_asks_before_it_runs_a_strangers_effects(
     stranger: Path, tmp_path: Path, run: Run
 ) -> None:
@@ -36,6 +37,7 @@ def test_report_asks_before_it_runs_a_strangers_effects(
     assert not (stranger / "report.html").exists()
 
 
+@pytest.mark.long
 def test_report_asks_once_for_each_content(stranger: Path, tmp_path: Path, run: Run) -> None:
     assert run("report", "-C", stranger, "--no-diagnose", "--trust").returncode == 0
     assert (tmp_path / "was_run").exists()
@@ -75,6 +77,7 @@ def test_diff_asks_before_it_runs_a_strangers_effects(
     assert not (tmp_path / "was_run").exists()
 
 
+@pytest.mark.long
 def test_a_project_that_its_author_works_on_is_not_asked_about(stranger: Path, run: Run) -> None:
     """Not even where a file of effects was edited since."""
     assert run("train", "-C", stranger).returncode == 0
@@ -98,6 +101,7 @@ def test_the_answer_on_the_terminal_is_taken(
     assert zerodrift("effects", "-C", stranger).code == 0, "asked once"
 
 
+@pytest.mark.long
 def test_verify_runs_no_effects(stranger: Path, tmp_path: Path, run: Run) -> None:
     assert run("firmware", "-C", stranger).returncode == 0
     (tmp_path / "was_run").unlink()
@@ -105,6 +109,7 @@ def test_verify_runs_no_effects(stranger: Path, tmp_path: Path, run: Run) -> Non
     assert not (tmp_path / "was_run").exists()
 
 
+@pytest.mark.long
 def test_the_page_asks_too(stranger: Path, tmp_path: Path, run: Run) -> None:
     done = run("workbench", "-C", stranger, "--no-browser")
     assert_one_message(done, 2, "own.py", "--trust")
@@ -154,6 +159,7 @@ def quick_verify(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zerodrift.verify.replay.RANDOM_STEPS", 1000)
 
 
+@pytest.mark.long
 def test_verify_runs_foreign_c_that_the_user_agreed_to(
     foreign: Path, tmp_path: Path, zerodrift: Command, quick_verify: None
 ) -> None:
@@ -169,6 +175,7 @@ def test_an_unknown_file_beside_the_c_is_asked_about(tmp_path: Path, zerodrift: 
     assert_one_message(zerodrift("verify", "-C", folder), 2, "C that differs", "--trust")
 
 
+@pytest.mark.long
 def test_what_firmware_wrote_is_known_to_a_later_version(
     tmp_path: Path, zerodrift: Command, quick_verify: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,12 +20,7 @@ from zerodrift.blocks.design import make_design
 from zerodrift.c_runtime.cores import find_cross_compilers
 from zerodrift.c_runtime.host import HostModel, render_sources
 from zerodrift.codegen.generate import generate, generate_design, generate_unit
-from zerodrift.export.integer_model import (
-    FLAG_CLAMPED,
-    FLAG_DAMAGED,
-    FLAG_TARED,
-    IntegerModel,
-)
+from zerodrift.export.integer_model import FLAG_CLAMPED, FLAG_DAMAGED, FLAG_TARED, IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
@@ -48,7 +43,10 @@ def make(name: str) -> IntegerModel:
     return replace(model, tare=True, guarded=bool(guarded))
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(
+    scope="module",
+    params=[NAMES[0], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[1:])],
+)
 def host(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> HostModel:
     """A model with a tare on this machine."""
     model = make(request.param)
@@ -123,7 +121,7 @@ def test_damage_ends_it(host: HostModel) -> None:
     assert not (found.flags[1:] & FLAG_TARED).any()
 
 
-@pytest.mark.parametrize("tare", [-(2**31), 2**31 - 1])
+@pytest.mark.spread(1, "tare", [-(2**31), 2**31 - 1])
 def test_a_difference_that_does_not_fit_is_limited_and_flagged(tare: int, tmp_path: Path) -> None:
     """Answers of this model are far from 2^31: what is taken off is written into the state."""
     model = make("no_reading")
@@ -171,7 +169,7 @@ def test_an_emulated_core_does_the_same(core: str, tmp_path: Path) -> None:
     assert (flags == expected.flags[0]).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.spread(0, "name", NAMES)
 def test_certificate_holds_and_the_c_is_proven(name: str) -> None:
     model = make(name)
     code = generate(model)
@@ -191,7 +189,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("what", sorted(CHANGES))
+@pytest.mark.spread(0, "what", sorted(CHANGES))
 def test_changed_c_is_not_proven(what: str) -> None:
     model = make("no_reading")
     code = generate(model)
@@ -225,6 +223,7 @@ def test_a_block_has_it_too(tmp_path: Path) -> None:
     assert not outcome.failures
 
 
+@pytest.mark.long
 def test_a_firmware_folder_is_verified(tmp_path: Path) -> None:
     directory = write_firmware(tmp_path / "project", make("no_reading"))
     assert load_model(directory / "build" / "model.json").tare

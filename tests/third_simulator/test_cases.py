@@ -68,7 +68,7 @@ def test_hiding_an_effect_draws_no_other_noise() -> None:
         assert np.abs(added).max() < 3 * max(plain.truth.noise_rms)
 
 
-@pytest.mark.parametrize(("family", "effect"), PAIRS)
+@pytest.mark.spread(8, ("family", "effect"), PAIRS)
 def test_every_effect_of_a_family_has_the_size_asked_for(family, effect) -> None:
     case = draw_case(21, family=family, effect=effect, size=3.0)
     assert case.truth.sizes[effect].train == pytest.approx(3.0)
@@ -78,14 +78,14 @@ def test_every_effect_of_a_family_has_the_size_asked_for(family, effect) -> None
 
 
 @pytest.mark.parametrize("name", list(OUTSIDE))
-@pytest.mark.parametrize("seed", [31, 1034, 1068])
+@pytest.mark.spread(5, "seed", [31, 1034, 1068])
 def test_what_stands_in_no_catalogue_is_hidden_at_its_size(name, seed) -> None:
     truth = draw_case(seed, effect=name, size=2.0).truth
     assert truth.name == "outside"
     assert truth.sizes[name].train == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("seed", range(40, 64))
+@pytest.mark.spread(4, "seed", range(40, 64))
 def test_a_complete_model_lacks_nothing(seed) -> None:
     case = draw_case(seed, runs=2 + seed % 6)
     assert case.truth.name is None

@@ -9,6 +9,8 @@ from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.diagnosis import diagnose
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -53,7 +53,7 @@ def assert_forgets(w_x, w_h, bias, reset, reach):
         assert lowest >= -SLOWEST * (1.0 + 1e-5)
 
 
-@pytest.mark.parametrize("reset", ["after", "before"])
+@pytest.mark.spread(0, "reset", ["after", "before"])
 def test_weights_of_any_size_are_brought_to_the_conditions_and_then_stay(reset):
     generator = torch.Generator().manual_seed(3)
     shapes = ((6, 3, 5, 2), (6, 3, 5, 5), (6, 4, 5))
@@ -140,7 +140,7 @@ def pose(options, seed=5, kind="gru"):
     return Problem(lambda g: build_network(config, 2, 2, g), sequences, sequences[:1], settings)
 
 
-@pytest.mark.parametrize("form", ["reset_after", "reset_before"])
+@pytest.mark.spread(1, "form", ["reset_after", "reset_before"])
 def test_training_ends_within_the_conditions_and_a_free_one_does_not(form):
     reset = form.removeprefix("reset_")
     ends = {}
@@ -189,6 +189,7 @@ def test_only_a_gru_or_lstm_takes_it():
         assert "contracting" not in config.network.options
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "weights"), [("gru", "int16"), ("gru", "int8"), ("lstm", "int16")]
 )
@@ -226,7 +227,7 @@ def test_a_head_is_shrunk_row_by_row_where_it_reaches_too_far():
     assert torch.allclose(ratio, ratio[:, :1].expand_as(ratio))
 
 
-@pytest.mark.parametrize("kind", ["gru", "lstm"])
+@pytest.mark.spread(1, "kind", ["gru", "lstm"])
 def test_a_limited_network_answers_no_further_than_it_learnt(kind):
     """And a free one, trained on the same, does."""
     reach = {}

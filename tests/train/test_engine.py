@@ -80,7 +80,7 @@ KINDS = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "memory", "form", "tared"), KINDS)
+@pytest.mark.spread(1, ("kind", "memory", "form", "tared"), KINDS)
 def test_sensors_trained_at_once_are_those_trained_one_at_a_time(kind, memory, form, tared):
     """Against a loop that shares no code with the engine: autograd, PyTorch's AdamW."""
     # Sensors differ in the number, the lengths and the features of their runs.
@@ -158,7 +158,7 @@ def stop_after(epochs: int):
 
 
 @pytest.mark.parametrize(("kind", "memory"), [("gru", "stream"), ("gru", 5), ("mlp", "stream")])
-@pytest.mark.parametrize("epochs", [3, 9])
+@pytest.mark.spread(1, "epochs", [3, 9])
 def test_interrupted_training_of_many_goes_on_to_the_same_bits(
     kind, memory, epochs, tmp_path, monkeypatch
 ):
@@ -219,7 +219,7 @@ def test_checkpoint_from_when_starts_were_trained_in_turn_is_taken_up(
     assert_equal(whole, resumed)
 
 
-@pytest.mark.parametrize("form", ["reset_after", "reset_before"])
+@pytest.mark.spread(1, "form", ["reset_after", "reset_before"])
 def test_recurrence_and_gradients_are_those_of_autograd_on_each_network(form):
     generator = torch.Generator().manual_seed(3)
     sensors, features, steps, count = 3, 2, 9, 5

@@ -40,6 +40,7 @@ def make_network(shape: Shape, seed: int, exponents: IntArray) -> IntegerGruNetw
     return build_integer_network(model.network, exponents, np.ones(shape.outputs))
 
 
+@pytest.mark.long
 @settings(
     max_examples=25,
     deadline=None,
@@ -176,7 +177,7 @@ def make_problem(reset: str, memory: str | int) -> tuple[IntegerGruNetwork, list
     return build_integer_network(model.network, EXPONENTS, size.astype(np.float64)), scaled
 
 
-@pytest.mark.parametrize(("reset", "memory"), [("after", "stream"), ("before", 6)])
+@pytest.mark.spread(0, ("reset", "memory"), [("after", "stream"), ("before", 6)])
 def test_fine_tuning_brings_8_bit_weights_nearer_to_the_float_network(
     reset: str, memory: str | int
 ) -> None:

@@ -92,6 +92,7 @@ def interrupt(run: Run, logged: int, missing: int) -> list[Run]:
     return stretches
 
 
+@pytest.mark.long
 def test_bank_lives_on_over_gaps_as_the_sensor_did() -> None:
     """Taken to be at rest at the start of each stretch, it would not see its lag whole."""
     whole = [make_run(i, slow=0.0, length=1500) for i in range(4)]
@@ -105,6 +106,7 @@ def test_bank_lives_on_over_gaps_as_the_sensor_did() -> None:
     assert measure(physics, at_rest, make_run(9, slow=0.0)).max() > 2.0
 
 
+@pytest.mark.long
 def test_two_lags_are_found() -> None:
     """Their mixture's square has a product of both in it, which units have to learn."""
     runs = [make_run(i, slow=0.3, length=1200) for i in range(4)]

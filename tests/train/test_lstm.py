@@ -115,7 +115,7 @@ def write_lagging_logs(directory: Path) -> None:
         np.savetxt(directory / f"{name}.csv", table, "%.6f", ",", header=header, comments="")
 
 
-@pytest.mark.parametrize("memory", ['"stream"', "6"])
+@pytest.mark.spread(0, "memory", ['"stream"', "6"])
 def test_trained_lstm_becomes_equal_firmware(memory: str, tmp_path: Path) -> None:
     write_lagging_logs(tmp_path / "logs")
     network = (

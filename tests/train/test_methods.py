@@ -51,7 +51,7 @@ def make_run(seed: int, length: int = 900) -> Run:
     )
 
 
-@pytest.mark.parametrize("name", [n for n in METHODS if n not in ("gru_stream", "physics_network")])
+@pytest.mark.spread(4, "name", [n for n in METHODS if n not in ("gru_stream", "physics_network")])
 def test_method_fits_predicts_and_tells_its_cost(name: str) -> None:
     if METHODS[name].family == "baseline":
         pytest.importorskip("sklearn", reason="the baselines need scikit-learn")

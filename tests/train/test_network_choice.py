@@ -33,7 +33,7 @@ def test_the_cheapest_within_five_percent_is_taken() -> None:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="networks need PyTorch")
-@pytest.mark.parametrize("tested", [False, True])
+@pytest.mark.spread(0, "tested", [False, True])
 def test_auto_takes_what_remembers_where_the_sensor_lags(
     tested: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,6 +67,7 @@ def test_a_network_that_found_nothing_is_marked() -> None:
     assert [row[-1] for row in rows] == ["", "taken, left out"]
 
 
+@pytest.mark.long
 def test_commands_show_the_table_once_and_keep_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,7 +55,7 @@ def assert_same_weights(a: Result, b: Result) -> None:
 
 
 @pytest.mark.parametrize("form", ["reset_after", "reset_before"])
-@pytest.mark.parametrize("memory", ["stream", 5])
+@pytest.mark.spread(1, "memory", ["stream", 5])
 def test_same_seed_gives_the_same_weights_to_the_bit(memory: str | int, form: str) -> None:
     first, second = train(memory, form), train(memory, form)
     assert_same_weights(first, second)

@@ -72,6 +72,7 @@ def test_lags_are_spread_over_what_the_logs_can_tell() -> None:
     assert taus_s == [4.0, 20.0, 100.0, 500.0]
 
 
+@pytest.mark.long
 def test_many_units_are_taken_where_the_drift_bends_and_pay() -> None:
     runs = [bend(make_run(i, slow=0.0, length=1500)) for i in range(5)]
     judge = bend(make_run(9, slow=0.0, length=1500))

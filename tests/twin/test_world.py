@@ -133,8 +133,8 @@ MEMORY = (
 )
 
 
-@pytest.mark.parametrize(
-    "kinds", [("chamber",), ("heating", "cooling", "cold_start", "load_steps"), ("walking",)]
+@pytest.mark.spread(
+    2, "kinds", [("chamber",), ("heating", "cooling", "cold_start", "load_steps"), ("walking",)]
 )
 def test_halving_the_step_changes_less_than_a_thousandth_of_the_noise(kinds):
     recipe = Recipe(

@@ -47,14 +47,14 @@ def test_selftest_passes(host: HostModel) -> None:
     assert host.selftest() == 0
 
 
-@pytest.mark.parametrize("settled", [True, False])
+@pytest.mark.spread(1, "settled", [True, False])
 def test_onnx_equals_the_host(host: HostModel, settled: bool) -> None:
     runtime = OnnxModel(host.model)
     for codes in draw_sequences(host.model, 1500).values():
         assert check_onnx(runtime, host, codes, settled=settled).mismatch is None
 
 
-@pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
+@pytest.mark.spread(1, "core", ["cortex-m0plus", "cortex-m4", "rv32imc"])
 def test_emulated_core_equals_the_reference(model: IntegerModel, core: str, tmp_path: Path) -> None:
     if not find_cross_compilers(core):
         pytest.skip(f"no compiler for {core}")

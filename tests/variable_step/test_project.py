@@ -92,6 +92,7 @@ def test_model_file_that_contradicts_itself_is_refused(change: str, tmp_path: Pa
         load_model(tmp_path / "model.json")
 
 
+@pytest.mark.long
 def test_verify_replays_a_folder(tmp_path: Path) -> None:
     directory = write_firmware(tmp_path / "project", make_model())
     outcome = replay(load_config(directory), consent=Agreed())

@@ -52,7 +52,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(CHANGES))
+@pytest.mark.spread(3, "name", sorted(CHANGES))
 def test_changed_c_is_refuted(name: str) -> None:
     before, after = CHANGES[name]
     assert before in CODE.source
@@ -76,7 +76,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("what", sorted(WRONG))
+@pytest.mark.spread(2, "what", sorted(WRONG))
 def test_changed_c_is_not_proven(what: str) -> None:
     before, after = WRONG[what]
     assert before in CODE.source

@@ -4,6 +4,7 @@ import hashlib
 import json
 from pathlib import Path
 
+import pytest
 from benchmarks.mutants.judge import identify_files, replace_file
 
 from zerodrift.verify.replay import (
@@ -11,6 +12,8 @@ from zerodrift.verify.replay import (
     FolderCertificate,
     check_folder_certificate,
 )
+
+pytestmark = pytest.mark.long
 
 
 def derive(project: Path) -> FolderCertificate:

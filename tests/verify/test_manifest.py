@@ -214,7 +214,7 @@ def test_report_and_page_show_no_firmware_that_is_stale_or_spoilt(project: Path)
     assert "logs/test.csv: was changed" in note and "zerodrift firmware" in note
 
 
-@pytest.mark.parametrize("name", ["ordinary", "saturation", "front_end"])
+@pytest.mark.spread(1, "name", ["ordinary", "saturation", "front_end"])
 def test_golden_vectors_read_every_line_of_the_table_that_others_read(name: str) -> None:
     model = load(name).model
     sequences = draw_sequences(model, 1000)

@@ -25,6 +25,8 @@ from zerodrift.export.golden import load_golden
 from zerodrift.verify import folder_check, ways
 from zerodrift.verify.manifest import FILE_NAME
 
+pytestmark = pytest.mark.long
+
 HEADER, SOURCE = "firmware/front_end.h", "firmware/front_end.c"
 
 

@@ -77,8 +77,7 @@ def page(browser: Any) -> Iterator[Any]:
     window.on("request", lambda request: window.asked.append(request.url))
     window.on("pageerror", lambda error: window.wrong.append(str(error)))
     window.on(
-        "console",
-        lambda told: window.wrong.append(told.text) if told.type == "error" else None,
+        "console", lambda told: window.wrong.append(told.text) if told.type == "error" else None
     )
     yield window
     window.close()

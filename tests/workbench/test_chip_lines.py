@@ -18,6 +18,7 @@ from zerodrift.workbench.chip import LiveChip
 HEADER = "time_s,temperature_degC,Fz_N,Mx_Nm"
 
 
+@pytest.mark.long
 def test_live_lines_are_the_logs_columns_in_any_form(chip):
     folder = chip.place.chip_folder
     lines = LiveChip(chip.place.directory, folder)
@@ -40,6 +41,7 @@ def test_live_lines_are_the_logs_columns_in_any_form(chip):
         objects.take('{"Fz_N": 3}\n')
 
 
+@pytest.mark.long
 def test_lacking_value_is_held_where_no_code_says_so(chip):
     lines = LiveChip(chip.place.directory, chip.place.chip_folder)
     channels = tuple(replace(channel, no_reading=None) for channel in lines._model.channels)
@@ -58,6 +60,7 @@ def write_rows(seconds, interval_s):
     return "".join(f"{t:.6f},{25 + 0.1 * t:.6f},{3 + 0.01 * t:.6f},4\n" for t in times)
 
 
+@pytest.mark.long
 def test_faster_rows_become_the_means_of_logs(chip):
     lines = LiveChip(chip.place.directory, chip.place.chip_folder)
     told = lines.take(f"{HEADER}\n{write_rows(20, 0.1)}")
@@ -115,6 +118,7 @@ def test_a_silence_is_left_out_and_a_device_may_begin_again(chip):
     assert told.codes == () and "no time in 'time_s'" in told.first_stray
 
 
+@pytest.mark.long
 def test_changed_c_is_the_one_that_runs(built, tmp_path):
     """What lies in the folder is compiled, not what would be generated."""
 
@@ -158,6 +162,7 @@ def test_module_runs_and_lines_are_for_the_owner_of_the_token(chip):
     assert b"the model reads temperature_degC" in text
 
 
+@pytest.mark.long
 def test_without_firmware_there_is_nothing_to_run(project):
     with serve(project.directory) as bench:
         settle(bench.place)

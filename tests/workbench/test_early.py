@@ -18,6 +18,8 @@ from zerodrift.workbench.early import READING, EarlyPage, tell_project
 from zerodrift.workbench.hold import hold_directory, release_directory
 from zerodrift.workbench.server import Workbench
 
+pytestmark = pytest.mark.long
+
 LATER = ("scipy.stats", "scipy.signal", "scipy.ndimage", "scipy.optimize", "torch")
 """What takes long to load, and no page needs to begin."""
 

@@ -12,6 +12,8 @@ from tests.workbench.test_workplace import settle
 
 from zerodrift.workbench.app import lay_out_first
 
+pytestmark = pytest.mark.long
+
 
 def test_page_of_a_known_project_comes_with_verdict_choices_and_chart(project):
     with serve(project.directory) as bench:

@@ -57,6 +57,7 @@ def write(parts):
     return "".join(json.dumps(part.to_plotly_json(), default=str) for part in parts)
 
 
+@pytest.mark.long
 def test_a_programme_is_drawn_and_told(tmp_path, zerodrift):
     write_blank(tmp_path)
     options = ("--hours", "1", "--budget", "1", "--between", "creep", "load_hysteresis", "--json")

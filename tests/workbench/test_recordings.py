@@ -16,6 +16,8 @@ from zerodrift.recording.status import list_statuses
 from zerodrift.workbench.recordings import find_offers
 from zerodrift.workbench.workplace import Workplace
 
+pytestmark = pytest.mark.long
+
 DEVICE = """\
 import sys, time
 print("time_s,temperature_degC,Fz_N,Mx_Nm,ref_Fz_N", flush=True)

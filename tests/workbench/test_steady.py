@@ -7,6 +7,8 @@ import pytest
 from tests.workbench.pages import DRAWN, open_page, wait_for_job
 from tests.workbench.test_early import start
 
+pytestmark = pytest.mark.long
+
 WATCH = """
 window.places = [];
 (function watch() {

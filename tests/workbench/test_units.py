@@ -14,6 +14,8 @@ from zerodrift.field.registry import FILE_NAME, open_registry
 from zerodrift.workbench.units import list_serials, show_history, show_units
 from zerodrift.workbench.watch import UnitsWatch
 
+pytestmark = pytest.mark.long
+
 STEP = "recalibrate SN2: the zero of Fz moved by 3.1 N at once, 2026-11-20 04:00 UTC"
 SAME = "nothing has changed"
 

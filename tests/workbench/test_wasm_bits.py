@@ -105,6 +105,7 @@ def test_another_number_in_the_c_is_noticed(chip):
     assert check_host(PlayedHost(played), codes).mismatch is not None
 
 
+@pytest.mark.long
 def test_module_needs_nothing_and_has_the_headers_names():
     code = generate(load("front_end").model)
     sections = list_sections(build_wasm(code))

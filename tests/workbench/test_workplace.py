@@ -19,6 +19,8 @@ from zerodrift.verify.summary import LogsRefused
 from zerodrift.workbench.views import show_outcome
 from zerodrift.workbench.workplace import Workplace
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def place(project):
@@ -82,7 +84,7 @@ def test_add_does_what_the_command_does_and_undo_takes_it_back(place, project, t
     settle(later)
     assert project.toml.read_bytes() == (copy / "zerodrift.toml").read_bytes()
     assert [s.label for s in later.findings.steps] == [
-        *("start", "+ thermal_lag", "as step 0", "as step 1"),
+        *("start", "+ thermal_lag", "as step 0", "as step 1")
     ]
     later.close()
 
