@@ -28,7 +28,7 @@ CLEARLY = 0.1
 """One that leaves less than this share of both is told, though something is left: a fault is hardly
 ever mended to the last row."""
 AMONG = 0.4
-"""Share of a run's rows that a unit brings among the other runs' temperatures."""
+"""Share of a run's rows that a reading leaves, or brings, among the other runs' temperatures."""
 FITTED = 0.8
 """A number that is fitted, or rows that are left out, explain a little of anything: such an
 explanation leaves at most this share of what the best plain one leaves."""
@@ -82,21 +82,29 @@ def find_units(bench: Bench, rest: frozenset[int]) -> list[DataNote]:
     """
     notes = []
     for i in sorted(rest) if len(rest) >= FEWEST_RUNS else ():
-        others = np.concatenate(
-            [c.run.temperature_degC for j in rest - {i} for c in bench.courses[j]]
-        )
-        low, high = float(others.min()), float(others.max())
+        low, high = _find_span(bench, i, rest)
         own = np.concatenate([c.run.temperature_degC for c in bench.courses[i]])
         if max(low - own.max(), own.min() - high) <= high - low:
             continue
         for tried in _read_units(bench, i):
-            read = np.concatenate([c.run.temperature_degC for c in tried.courses])
             after = bench.assess(i, rest, tried.courses)
-            among = float(((read >= low) & (read <= high)).mean())
-            if after is not None and after.doubt.max() <= AGREES and among >= AMONG:
+            among = _is_among(tried.courses, (low, high))
+            if after is not None and after.doubt.max() <= AGREES and among:
                 notes += list(tried.notes)
                 break
     return notes
+
+
+def _find_span(bench: Bench, i: int, rest: frozenset[int]) -> tuple[float, float]:
+    """Return the lowest and the highest temperature of the runs that a run is held to, in degC."""
+    others = np.concatenate([c.run.temperature_degC for j in rest - {i} for c in bench.courses[j]])
+    return float(others.min()), float(others.max())
+
+
+def _is_among(courses: Sequence[RunReading], span: tuple[float, float]) -> bool:
+    """Return whether a reading has the run where others have been; elsewhere nothing tests it."""
+    read = np.concatenate([course.run.temperature_degC for course in courses])
+    return float(((read >= span[0]) & (read <= span[1])).mean()) >= AMONG
 
 
 def find_reading(bench: Bench, rest: frozenset[int]) -> tuple[int, list[DataNote]] | None:
@@ -125,9 +133,11 @@ def weigh(bench: Bench, i: int, rest: frozenset[int], now: RunAgreement) -> Expl
     """Return the explanation that leaves least of a run; None where none makes it agree."""
     best: Explanation | None = None
     least = (True, np.inf)
+    span = _find_span(bench, i, rest)
+    is_among = _is_among(bench.courses[i], span)
     for tried in _list_all(bench, i, rest, now):
         after = bench.assess(i, rest, tried.courses)
-        if after is None:
+        if after is None or (is_among and not _is_among(tried.courses, span)):
             continue
         doubts = float(now.doubt.max()), float(after.doubt.max())
         agrees = doubts[1] <= AGREES and after.error <= EXPLAINED * now.error
