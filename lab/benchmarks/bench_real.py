@@ -200,6 +200,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         print(f"missing: {entry.name} ({entry.find(options.data)})")
     kept = read_results(options.results, wanted)
     to_run = [entry for entry in wanted if entry not in missing and entry.name not in kept]
+    to_run.sort(key=mark_entry)  # by chance, so that a part of them is a fair sample
     for result in run_all(to_run, options.data, options.jobs):
         kept[result["record"]] = result
         if options.results is not None:
