@@ -16,7 +16,7 @@ NAMES = (
         "bench_logs",
     ),
     "bench_text",
-    *("bench_loop", "bench_real", "bench_training", "bench_fleet"),
+    *("bench_loop", "bench_real", "bench_integer", "bench_training", "bench_fleet"),
     *("bench_random", "bench_certificate", "bench_int8", "bench_builds", "bench_six_axis"),
     "bench_conversion",
     *("bench_gate", "bench_copies", "bench_memory", "crash_points"),

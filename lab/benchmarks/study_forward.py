@@ -1,9 +1,8 @@
 """Single real records: would predicting later stretches from earlier ones choose a better model?
 
-The records of `bench_records`. Each of some models is fitted to the beginning of the first 60 %,
+The records of `single_records`. Each of some models is fitted to the beginning of the first 60 %,
 and the next eighth of these is predicted, five times over; a rule takes the model with the least
-error there, and is judged by the last 40 %, over the error of the best simple fit of
-`bench_records`.
+error there, and is judged by the last 40 %, over the error of the best simple fit there.
 Beside the rules stand each model taken always, and the choice that only hindsight could make.
 
     python -m benchmarks.study_forward [--only TEXT]
@@ -19,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.bench_records import FEWEST, TAUGHT, Record, fit_simple, list_records
+from benchmarks.single_records import FEWEST, TAUGHT, Record, fit_simple, list_records
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run

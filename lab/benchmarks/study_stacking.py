@@ -1,9 +1,9 @@
 """Single real records: does a weighted mean of models predict better than one that is chosen?
 
-The records of `bench_records`. Six models by least squares (constant, line, cubic, and lines behind
-one and two lags) and the same beside noise that wanders (a local level, whose last value stands for
-the offset) learn the first 60 % and predict the last 40 %. Rules look at how each model predicted
-later stretches of the first 60 % from earlier ones:
+The records of `single_records`. Six models by least squares (constant, line, cubic, and lines
+behind one and two lags) and the same beside noise that wanders (a local level, whose last value
+stands for the offset) learn the first 60 % and predict the last 40 %. Rules look at how each model
+predicted later stretches of the first 60 % from earlier ones:
 
 - choose: the model with the least error there;
 - stack: weights that sum to one and are none below zero, with the least error there; drawn towards
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.bench_records import DATA, FEWEST, TAUGHT, Record, fit_simple, list_records
+from benchmarks.single_records import DATA, FEWEST, TAUGHT, Record, fit_simple, list_records
 
 Array = NDArray[np.float64]
 LAGS = 14

@@ -1,36 +1,21 @@
-"""Single real records: the first 60 % teach, the last 40 % are predicted, beside simple fits.
+"""Single real records, the first 60 % to teach and the last 40 % to predict, for the studies.
 
-One log of one device, no dwell, and a model of `zero_tempco`. The loop is `diagnose`, `add` what
-it names until it names nothing, and `remove` what it says to drop. Beside it stand a constant, a
-line and a cubic in the temperature, and a cubic in the temperature behind one lag, all by least
-squares on the first 60 %. The mark is the loop's error over that of the best of these, which is
-known only afterwards.
-
-    python -m benchmarks.bench_records [--only TEXT] [--processes 1|2]
+How the loop does on real records is `bench_real`. Simple fits to a record's first 60 % are a
+constant, a line and a cubic in the temperature, and a cubic in the temperature behind one lag.
 
 The measurements are third-party data that are not part of the repository (cellularmitosis/logs,
 MIT licence, (c) 2018 Jason Pepas; hmd83/tanen, CC BY 4.0); they are looked for beside it, in
-shared/data, and without them this benchmark says so.
+shared/data.
 """
 
-import argparse
 import csv
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-
-from zerodrift.base.config import EffectConfig
-from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.diagnosis.course import diagnose_until_done
-from zerodrift.diagnosis.revision import list_needless
-from zerodrift.physics.catalogue import load_catalogue
-from zerodrift.physics.fit import fit
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -38,7 +23,6 @@ TAUGHT = 0.6
 LAGS = 40
 FEWEST = 200
 """Samples of a record."""
-SIMPLE = ("constant", "line", "cubic", "cubic + lag")
 
 
 @dataclass(frozen=True)
@@ -50,24 +34,6 @@ class Record:
     period_s: float
     temperature_degC: Array
     drift: Array
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Errors on the last 40 %."""
-
-    name: str
-    unit: str
-    hours: float
-    simple: tuple[float, ...]
-    loop: float
-    effects: tuple[str, ...]
-    verdicts: tuple[str, ...]
-
-    @property
-    def ratio(self) -> float:
-        """The loop's error over that of the best simple fit."""
-        return self.loop / min(self.simple)
 
 
 def list_records() -> Iterator[Record]:
@@ -174,81 +140,3 @@ def fit_simple(record: Record, taught: int) -> tuple[float, ...]:
             fit_power(first + lfilter([1.0 - a], [1.0, -a], record.temperature_degC - first), 3)
         )
     return (*plain, min(lagged)[1])
-
-
-def judge(record: Record, advance: Callable[[str], None] = lambda kind: None) -> Outcome:
-    """Return the errors of the loop and of the simple fits."""
-    count = record.drift.size
-    taught = round(TAUGHT * count)
-    whole = Run(
-        name="record",
-        group="record",
-        part=0,
-        source=Path("record.csv"),
-        sample_period_s=record.period_s,
-        time_s=record.period_s * np.arange(count),
-        temperature_degC=record.temperature_degC,
-        measured=record.drift[:, None],
-        reference=np.zeros((count, 1)),
-    )
-    train = whole.take(slice(0, taught))
-    test = replace(whole.take(slice(taught, count)), part=1, name="record#2", before=train)
-    scale = (float(10.0 * np.ptp(record.drift)),)
-    dataset = Dataset((train,), (), (), ("U",), (record.unit,), scale)
-    catalogue = load_catalogue()
-    course = diagnose_until_done([EffectConfig("zero_tempco")], dataset, catalogue, advance)
-    effects = course.effects
-    while needless := list_needless(effects, dataset, catalogue):
-        effects = tuple(effect for effect in effects if effect.kind != needless[0])
-    model = fit(
-        effects,
-        dataset.train,
-        outputs=dataset.outputs,
-        units=dataset.units,
-        full_scale=dataset.full_scale,
-        catalogue=catalogue,
-    )
-    rest = test.drift - model.predict(test)
-    return Outcome(
-        record.name,
-        record.unit,
-        count * record.period_s / 3600.0,
-        fit_simple(record, taught),
-        float(np.sqrt(np.mean(rest**2))),
-        tuple(effect.kind for effect in effects),
-        tuple(step.effect or step.verdict for step in course.steps),
-    )
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a line for each record, and the marks."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="records whose name has this")
-    parser.add_argument("--processes", type=int, default=1, choices=(1, 2))
-    options = parser.parse_args(arguments)
-    if not DATA.is_dir():
-        print("skipped: shared/data is not beside the repository")
-        return 0
-    records = [r for r in list_records() if options.only in r.name and r.drift.size >= FEWEST]
-    print(f"{'record':32s}{'h':>6s}", *(f"{name:>11s}" for name in SIMPLE), f"{'loop':>9s} ratio")
-    outcomes = []
-    with ProcessPoolExecutor(options.processes) as pool:
-        for found in pool.map(judge, records):
-            outcomes.append(found)
-            errors = " ".join(f"{x:11.4g}" for x in found.simple)
-            print(
-                f"{found.name:32s}{found.hours:6.1f} {errors} {found.loop:9.4g} {found.ratio:5.2f}"
-                f"  {' '.join(found.effects)} <- {', '.join(found.verdicts)}",
-                flush=True,
-            )
-    ratios = np.array([o.ratio for o in outcomes])
-    worse = [o.name for o in outcomes if o.loop > 1.05 * min(o.simple[:2])]
-    print(
-        f"{len(outcomes)} real records: median ratio {np.median(ratios):.2f}, worst "
-        f"{ratios.max():.2f}; worse than constant or line by over 5 %: {len(worse)} {worse}"
-    )
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
