@@ -8,7 +8,8 @@ from benchmarks.formula_cases import simulate
 
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit_config
-from zerodrift.train.black_box.compare import learn_bank, pose, try_black_boxes
+from zerodrift.train.black_box.compare import learn_bank, try_black_boxes
+from zerodrift.train.black_box.signals import pose
 
 pytestmark = pytest.mark.long
 

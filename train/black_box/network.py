@@ -9,7 +9,7 @@ import torch
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import NetworkConfig
 from zerodrift.base.errors import InputError
-from zerodrift.train.black_box.compare import Lesson, average, choose_block, measure_unit
+from zerodrift.train.black_box.signals import Lesson, average, choose_block, measure_unit
 from zerodrift.train.engine import EpochProgress, Problem, Result, train_networks
 from zerodrift.train.networks import Network, build_network
 from zerodrift.train.prepare import read_settings

@@ -109,7 +109,7 @@ MOST_COEFFICIENTS = 24
 
 
 @dataclass(frozen=True)
-class ReportPart:
+class ReportSection:
     """A section that an installed package adds to the report, before the provenance."""
 
     title: str
@@ -130,7 +130,7 @@ class PartSection:
 def list_further(findings: Findings) -> list[PartSection]:
     """Return the parts that installed packages add; one that fails is missing alone."""
     found = []
-    for part in load_parts(REPORT, ReportPart):
+    for part in load_parts(REPORT, ReportSection):
         try:
             built = part.build(findings)
         except Exception as error:  # noqa: BLE001 - whatever a stranger's code raises
