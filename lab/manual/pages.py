@@ -44,7 +44,7 @@ MODULES = {
     "report": (
         "Figures and report",
         "One set of figures for report, page and manual.",
-        ("report.findings", "report.figures", "report.figures_runs", "report.report"),
+        ("report.findings", "report.figures", "report.report"),
     ),
 }
 """Page -> its title, what it is about, and the modules on it."""
