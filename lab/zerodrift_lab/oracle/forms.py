@@ -210,9 +210,8 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("clock_delay", "clock_delay"),
         lambda s, place, v: [shift(s.series[place], v, s.step_s)],
-        *("delay_s", -10.0, 10.0),
-        log=False,
-        points=40,
+        *("delay_s", 1.0, 10.0),
+        points=24,
         rewrites=True,
     ),
     Form(
@@ -323,7 +322,8 @@ FORMS: tuple[Form, ...] = (
     ),
 )
 """Left out: `adc_saturation`, whose rows are set aside; forms of two time constants or three plays,
-of the span's humidity, ageing and supply; cross-talk of several outputs, as there is one output."""
+of the span's humidity, ageing and supply; cross-talk of several outputs, as there is one output; a
+clock ahead of the converter's, for which a chip knows the slope alone."""
 
 
 @dataclass(frozen=True)

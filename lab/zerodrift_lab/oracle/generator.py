@@ -2,8 +2,8 @@
 
 A case is one sensor in 1 to 8 runs of a chamber: a polynomial of the chip's temperature, 0 to 3
 effects of `forms`, noise. Everything is drawn from the priors that the oracle has, by one seed.
-Effects are integrated at a quarter of the log's rows from the true temperatures; the log has each
-thermometer with its error and resolution, and the converter's steps.
+Effects are integrated at four steps for each row of the log, from temperatures that differ from the
+thermometers' by a slow error; the log has the thermometers' resolution and the converter's steps.
 """
 
 import json
@@ -95,7 +95,7 @@ class Truth:
         noise_level: RMS of white and slow part together, in the output's unit.
         slow_ratio: RMS of the slow part over that of the white one.
         adc_step: in the output's unit.
-        thermometer_error_K: RMS of each thermometer's slow error.
+        thermometer_error_K: RMS of the slow difference of what acts from each thermometer.
         sizes: between which each effect's size was drawn.
     """
 
@@ -172,7 +172,7 @@ class Case:
         if inputs:
             lines += ["", "[inputs]"]
         for name in inputs:
-            table = f'{{ column = "{COLUMNS[name]}", unit = "degC", role = "thermometer" }}'
+            table = f'{{ column = "{COLUMNS[name]}", unit = "degC" }}'
             lines.append(f"{name} = {table}" if name in BODIES else f'{name} = "{COLUMNS[name]}"')
         lines += ["", "[logs]", 'train = ["logs/run_*.csv"]', "tared = false"]
         lines += ["", "[[effect]]", 'kind = "zero_tempco"', f"order = {self.truth.order}"]
@@ -229,8 +229,9 @@ def draw_case(
     lengths = tuple(int(n) for n in rng.integers(rows[0], rows[1] + 1, runs))
     step_s = float(rng.choice([1.0, 2.0, 5.0]))
     fine = _draw_signals(rng, lengths, step_s, thermometers)
+    logged = _log(rng, fine)
+    fine = _mislead(rng, fine, error_K)
     true = _thin(fine)
-    logged = _log(rng, true, error_K)
     entries = tabulate(logged, lengths)
     prior = SetPrior([entry.candidate for entry in entries])
     number = int(rng.integers(prior.most + 1)) if count is None else min(count, prior.most)
@@ -360,16 +361,33 @@ def _thin(fine: Signals) -> Signals:
     return Signals(series, fine.step_s * SUBSTEPS, fine.full_scale)
 
 
-def _log(rng: np.random.Generator, true: Signals, error_K: float) -> Signals:
-    """Return what is logged: thermometers with error and resolution, no clock in some."""
-    series = dict(true.series)
+def _log(rng: np.random.Generator, fine: Signals) -> Signals:
+    """Return what is logged: thermometers by their resolution, no clock in some."""
+    thinned = _thin(fine)
+    series = dict(thinned.series)
     if rng.random() >= SHARES["clock"]:
         del series["clock"]
     for name in (CHIP, *BODIES):
         if name in series:
-            wrong = error_K * draw_slow(rng, series[name].shape, true.step_s) if error_K else 0.0
-            series[name] = np.round((series[name] + wrong) / RESOLUTION_K) * RESOLUTION_K
-    return Signals(series, true.step_s, true.full_scale)
+            series[name] = np.round(series[name] / RESOLUTION_K) * RESOLUTION_K
+    return Signals(series, thinned.step_s, fine.full_scale)
+
+
+def _mislead(rng: np.random.Generator, fine: Signals, error_K: float) -> Signals:
+    """Return the signals with the temperatures that act: each thermometer's and a slow error.
+
+    The chamber holds what its thermometers show, and the parts beside them wander about it; an
+    error so made is independent of what is logged (Berkson's), as the oracle takes it.
+    """
+    series = dict(fine.series)
+    for name in (CHIP, *BODIES):
+        if name in series and error_K:
+            rows = np.arange(0, series[name].shape[1], SUBSTEPS)
+            wrong = draw_slow(rng, (len(series[name]), rows.size), fine.step_s * SUBSTEPS)
+            every = np.arange(series[name].shape[1])
+            added = np.stack([np.interp(every, rows, one) for one in wrong])
+            series[name] = series[name] + error_K * added
+    return Signals(series, fine.step_s, fine.full_scale)
 
 
 # Programmes: what a chamber, a bench and the weather do, at fine steps.

@@ -8,15 +8,15 @@ values v by Laplace's about the best ones, order of the polynomial and share of 
 sums. Only Gram matrices of block means over a grid of values are needed; between the grid's points
 columns are interpolated by cubics. Sets are searched by a beam: add each effect, keep the best.
 
-What it does not know, so that its answers are a little too sure: the error of a thermometer is
-taken as a slow part of the noise; the size of each effect, drawn evenly, as a Gaussian of the same
-mean and variance.
+Where it only approximates the generator: the error of a thermometer is taken as a slow part of the
+noise of unknown size; the size of each effect, drawn evenly, as a Gaussian of the same mean and
+variance; the slow part as known up to steps of a factor of 1.4.
 
 Source: MacKay, Information Theory, Inference, and Learning Algorithms, ch. 27 and 28.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -50,6 +50,8 @@ WHITE = 0.4
 OFFSET = 300.0
 """Standard deviation of the constant, in noise levels."""
 NEVER = -1e300
+FIRST = np.array([1.0, 0.0, 0.0, 0.0])
+"""Weights of a column that is no function of a value."""
 Set = tuple[int, ...]
 """Entries' numbers, rising."""
 
@@ -129,6 +131,7 @@ class Oracle:
         self.middle = 0.5 * (low + high)
         self.width = max((high - low) / math.sqrt(12.0), 0.1 * self.middle)
         self.prior = SetPrior([entry.candidate for entry in self.entries])
+        self.scales = [np.abs(np.nan_to_num(entry.scale, nan=1.0)) for entry in self.entries]
         chip = case.signals.series[CHIP]
         middle = float(chip.mean())
         base = np.concatenate(
@@ -179,21 +182,23 @@ class Oracle:
 
     # The evidence of a set at given values.
 
-    def weigh(self, chosen: Set, x: Array, order: int, ratio: int) -> Array:
+    def weigh(
+        self, chosen: Set, x: Array, order: int, ratio: int | NDArray[np.int64]
+    ) -> Array:
         """Return log p(data | set, values, order, noise) plus the log prior of the values.
 
         Args:
             chosen: entries.
             x: places on the grids, shape (batch, effects).
             order: of the polynomial.
-            ratio: number of the slow share.
+            ratio: number of the slow share, one or of shape (batch,).
 
         Returns:
             shape (batch,), `NEVER` where a value is off its grid or not drawn.
         """
         batch = len(x)
         index: list[NDArray[np.int64]] = [np.zeros((batch, 4), dtype=np.int64)]
-        weight: list[Array] = [np.tile([1.0, 0.0, 0.0, 0.0], (batch, 1))]
+        weight: list[Array] = [np.broadcast_to(FIRST, (batch, 4))]
         sd: list[Array] = [np.full(batch, OFFSET)]
         signed: list[bool] = [False]
         line = math.sqrt((LINE[0] ** 2 + LINE[0] * LINE[1] + LINE[1] ** 2) / 3.0) / self.slope
@@ -205,15 +210,14 @@ class Oracle:
             entry = self.entries[one]
             nodes, shares, inside = _interpolate(x[:, number], entry.allowed)
             log_prior = np.where(inside, log_prior - math.log(entry.allowed.sum()), NEVER)
-            scale = np.nan_to_num(entry.scale, nan=1.0)[:, nodes]
-            scale = np.abs((scale * shares).sum(axis=2))  # (coefficients, batch)
+            scale = np.abs((self.scales[one][:, nodes] * shares).sum(axis=2))  # (columns, batch)
             if entry.candidate.form.rewrites:
                 rewriting = (one, nodes, shares, scale[0])
             else:
                 effects.append((one, nodes, shares, scale))
         for power, (place, width) in enumerate(polynomial):
             if rewriting is None:
-                index.append(np.tile(place, (batch, 4)))
+                index.append(np.broadcast_to(place, (batch, 4)))
                 weight.append(weight[0])
                 sd.append(np.full(batch, width))
                 signed.append(False)
@@ -227,11 +231,12 @@ class Oracle:
             several = len(scale) > 1
             wide = math.sqrt((self.middle**2 + self.width**2) / len(scale))
             for coefficient, places in enumerate(self.places[one]):
-                index.append(places[nodes] if len(places) > 1 else np.tile(places, (batch, 4)))
+                index.append(places[nodes] if len(places) > 1 else np.broadcast_to(places, (batch, 4)))
                 weight.append(shares)
                 sd.append((wide if several else self.width) / scale[coefficient])
                 signed.append(not several)
-        return log_prior + self._integrate(index, weight, sd, signed, ratio)
+        ratios = np.broadcast_to(ratio, batch)
+        return log_prior + self._integrate(index, weight, sd, signed, ratios)
 
     def _integrate(
         self,
@@ -239,25 +244,26 @@ class Oracle:
         weight: Sequence[Array],
         sd: Sequence[Array],
         signed: Sequence[bool],
-        ratio: int,
+        ratio: NDArray[np.int64],
     ) -> Array:
         """Return log p(data) with coefficients and noise level integrated, signs summed, (batch,)."""
-        level = math.sqrt(1.0 + RATIOS[ratio] ** 2)
-        gram = self.products[ratio]
+        level = np.sqrt(1.0 + np.array(RATIOS)[ratio] ** 2)
+        of_y = self.products[ratio, -1, -1]
         places = np.stack(index, axis=1)  # (batch, columns, 4)
         # In units of each coefficient's standard deviation.
-        shares = np.stack(weight, axis=1) * (level * np.stack(sd, axis=1))[:, :, None]
+        shares = np.stack(weight, axis=1) * (level[:, None] * np.stack(sd, axis=1))[:, :, None]
         shares = shares * self.lengths[places]
         batch, size, _ = shares.shape
         flat, of = places.reshape(batch, -1), shares.reshape(batch, -1)
-        whole = gram[flat[:, :, None], flat[:, None, :]] * of[:, :, None] * of[:, None, :]
+        whole = self.products[ratio[:, None, None], flat[:, :, None], flat[:, None, :]]
+        whole = whole * of[:, :, None] * of[:, None, :]
         inner = whole.reshape(batch, size, 4, size, 4).sum(axis=(2, 4))
-        with_y = (gram[flat, -1] * of).reshape(batch, size, 4).sum(axis=2)
+        with_y = (self.products[ratio[:, None], flat, -1] * of).reshape(batch, size, 4).sum(axis=2)
         matrix = inner + np.eye(size)
         inverse = np.linalg.inv(matrix)
         log_determinant = np.linalg.slogdet(matrix)[1]
         solved = np.einsum("bij,bj->bi", inverse, with_y)
-        left = np.maximum(gram[-1, -1] - (with_y * solved).sum(axis=1), 1e-12 * gram[-1, -1])
+        left = np.maximum(of_y - (with_y * solved).sum(axis=1), 1e-12 * of_y)
         signs = _list_signs(signed) * (self.middle / self.width)  # (signs, columns)
         beta = solved @ signs.T  # (batch, signs)
         gamma = (signs**2).sum(axis=1) - np.einsum("si,bij,sj->bs", signs, inverse, signs)
@@ -296,17 +302,11 @@ class Oracle:
 
     def _tabulate(self, chosen: Set, x: Array) -> Array:
         """Return `weigh` plus log prior for each order and slow share, shape (2, ratios)."""
-        slow = math.log((1.0 - WHITE) / (len(RATIOS) - 1))
+        prior = np.full(len(RATIOS), math.log((1.0 - WHITE) / (len(RATIOS) - 1)) - math.log(2.0))
+        prior[0] = math.log(WHITE) - math.log(2.0)
+        repeated, ratios = np.repeat(x[None], len(RATIOS), axis=0), np.arange(len(RATIOS))
         return np.array(
-            [
-                [
-                    float(self.weigh(chosen, x[None], order, ratio)[0])
-                    + (math.log(WHITE) if ratio == 0 else slow)
-                    - math.log(2.0)
-                    for ratio in range(len(RATIOS))
-                ]
-                for order in (1, 2)
-            ]
+            [self.weigh(chosen, repeated, order, ratios) + prior for order in (1, 2)]
         )
 
     def _climb(self, chosen: Set, x: Array, order: int, ratio: int) -> tuple[Array, float]:
@@ -368,12 +368,14 @@ class Oracle:
         place = chosen.index(one)
         grid = np.flatnonzero(self.entries[one].allowed)
         grid = grid[:: 1 + grid.size // 33]
+        ratios = np.array(sorted({0, *range(parent.ratio % 3, parent.ratio + 1, 3)}))
         x = np.insert(np.repeat(parent.values[None], grid.size, axis=0), place, grid, axis=1)
-        for ratio in sorted({0, *range(parent.ratio % 3, parent.ratio + 1, 3)}):
-            found = self.weigh(chosen, x, parent.order, ratio) + prior
-            best = int(np.argmax(found))
-            if found[best] > proposals.get(chosen, (-math.inf,))[0]:
-                proposals[chosen] = (float(found[best]), x[best], parent.order, ratio)
+        x = np.repeat(x, ratios.size, axis=0)
+        tried = np.tile(ratios, grid.size)
+        found = self.weigh(chosen, x, parent.order, tried) + prior
+        best = int(np.argmax(found))
+        if found[best] > proposals.get(chosen, (-math.inf,))[0]:
+            proposals[chosen] = (float(found[best]), x[best], parent.order, int(tried[best]))
 
     def judge(self) -> Posterior:
         """Return the posterior over the sets that the search visits."""
@@ -417,7 +419,7 @@ def _interpolate(
     size = allowed.size
     if size == 1:
         nodes = np.zeros((x.size, 4), dtype=np.int64)
-        return nodes, np.tile([1.0, 0.0, 0.0, 0.0], (x.size, 1)), np.ones(x.size, dtype=bool)
+        return nodes, np.broadcast_to(FIRST, (x.size, 4)), np.ones(x.size, dtype=bool)
     inside = (x >= -1e-9) & (x <= size - 1 + 1e-9)
     inside &= allowed[np.clip(np.round(x).astype(np.int64), 0, size - 1)]
     first = np.clip(np.floor(x).astype(np.int64) - 1, 0, size - 4)
@@ -434,7 +436,9 @@ def _interpolate(
     return first[:, None] + np.arange(4), shares, inside
 
 
-def _lay_stencil(x: Array, free: Sequence[int], step: float):  # type: ignore[no-untyped-def]
+def _lay_stencil(
+    x: Array, free: Sequence[int], step: float
+) -> tuple[Array, Callable[[Array], tuple[Array, Array]]]:
     """Return places for central differences about x, and what turns values into slope and Hessian."""
     size = len(free)
     moves = [np.zeros(size)]
