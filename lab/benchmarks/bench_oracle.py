@@ -1,8 +1,9 @@
 """How well missing effects can be named at all: the oracle on sensors of its own generator.
 
-The oracle knows the family that the simulated sensors are drawn from, so nobody's mean log score on
-them is higher. The tables tell, for each number of effects, how often it gives the true set 0.9 or
-more; whether its probabilities hold; and what the thermometers' error costs. All logs are simulated.
+The oracle knows the family that the simulated sensors are drawn from; exact probabilities would
+have the highest mean log score on them that there is. The tables tell, for each number of effects,
+how often it gives the true set 0.9 or more, whether its probabilities hold, and what the
+thermometers' error costs. All logs are simulated.
 
     cd lab && python -m benchmarks.bench_oracle --cases N --seed S [--sizes LOW HIGH]
         [--processes N]
@@ -17,6 +18,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+
 from zerodrift_lab.oracle.generator import SIZES, draw_case
 from zerodrift_lab.oracle.oracle import Oracle
 

@@ -1,4 +1,4 @@
-"""The oracle: its evidence against integration by hand, its calibration, what it says of nothing."""
+"""The oracle: its evidence against integration by hand, and whether its probabilities hold."""
 
 import math
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from benchmarks.bench_oracle import check_bands, judge_case, main
+
 from zerodrift_lab.oracle import oracle as module
 from zerodrift_lab.oracle.forms import BLOCK, CHIP, FORMS, SetPrior, rms, tabulate, take_means
 from zerodrift_lab.oracle.generator import Case, draw_case, draw_slow

@@ -161,7 +161,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("dark_current", "dark_current"),
         lambda s, place, v: [2.0 ** ((s.series[place] - 25.0)[None] / v[:, None, None])],
-        *("doubling_K", 8.0, 12.0),
+        value="doubling_K",
+        low=8.0,
+        high=12.0,
         points=8,
         thermal=True,
     ),
@@ -178,7 +180,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("thermal_lag", "thermal_lag, rewriting"),
         lambda s, place, v: [relax(s.series[place], v, s.step_s)],
-        *("tau_s", 5.0, 600.0),
+        value="tau_s",
+        low=5.0,
+        high=600.0,
         points=20,
         rewrites=True,
         options=(("own_terms", 0), ("time_constants", 1)),
@@ -186,7 +190,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("thermal_lag", "thermal_lag, own"),
         lambda s, place, v: [relax(s.series[place], v, s.step_s)],
-        *("tau_s", 5.0, 600.0),
+        value="tau_s",
+        low=5.0,
+        high=600.0,
         points=20,
         thermal=True,
         options=(("own_terms", 1), ("time_constants", 1)),
@@ -194,7 +200,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("thermal_hysteresis", "thermal_hysteresis, rewriting"),
         lambda s, place, v: [play(s.series[place], v)],
-        *("half_width_K", 0.2, 10.0),
+        value="half_width_K",
+        low=0.2,
+        high=10.0,
         points=64,
         rewrites=True,
         options=(("own_terms", 0),),
@@ -202,7 +210,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("thermal_hysteresis", "thermal_hysteresis, own"),
         lambda s, place, v: [play(s.series[place], v) - s.series[place]],
-        *("half_width_K", 0.2, 10.0),
+        value="half_width_K",
+        low=0.2,
+        high=10.0,
         points=64,
         thermal=True,
         options=(("own_terms", 1),),
@@ -210,14 +220,18 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("clock_delay", "clock_delay"),
         lambda s, place, v: [shift(s.series[place], v, s.step_s)],
-        *("delay_s", 1.0, 10.0),
+        value="delay_s",
+        low=1.0,
+        high=10.0,
         points=24,
         rewrites=True,
     ),
     Form(
         *("span_tempco", "span_tempco"),
         lambda s, place, v: [(s.series[place] - v[:, None, None]) * s.series["load"]],
-        *("calibrated_degC", 15.0, 35.0),
+        value="calibrated_degC",
+        low=15.0,
+        high=35.0,
         log=False,
         points=6,
         needs=("load",),
@@ -226,7 +240,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("creep", "creep"),
         _relaxed("load"),
-        *("tau_s", 60.0, 1800.0),
+        value="tau_s",
+        low=60.0,
+        high=1800.0,
         points=20,
         needs=("load",),
         options=(("time_constants", 1), ("settled", 0)),
@@ -234,7 +250,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("creep", "creep, settled"),
         lambda s, _, v: [relax(s.series["load"], v, s.step_s) - s.series["load"]],
-        *("tau_s", 60.0, 1800.0),
+        value="tau_s",
+        low=60.0,
+        high=1800.0,
         points=20,
         needs=("load",),
         options=(("time_constants", 1), ("settled", 1)),
@@ -242,7 +260,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("load_hysteresis", "load_hysteresis"),
         lambda s, _, v: [play(s.series["load"], v * s.full_scale / 100.0) - s.series["load"]],
-        *("half_width_pct", 0.3, 15.0),
+        value="half_width_pct",
+        low=0.3,
+        high=15.0,
         points=64,
         needs=("load",),
         options=(("plays", 1),),
@@ -259,14 +279,18 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("excitation_heating", "excitation_heating"),
         _relaxed("supply", 2),
-        *("tau_s", 30.0, 1800.0),
+        value="tau_s",
+        low=30.0,
+        high=1800.0,
         points=20,
         needs=("supply",),
     ),
     Form(
         *("humidity", "humidity"),
         _relaxed("humidity"),
-        *("tau_s", 600.0, 20000.0),
+        value="tau_s",
+        low=600.0,
+        high=20000.0,
         points=20,
         needs=("humidity",),
         options=(("of_rate", 0),),
@@ -274,7 +298,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("humidity", "humidity, of its rate"),
         lambda s, _, v: [s.series["humidity"] - relax(s.series["humidity"], v, s.step_s)],
-        *("tau_s", 600.0, 20000.0),
+        value="tau_s",
+        low=600.0,
+        high=20000.0,
         points=20,
         needs=("humidity",),
         options=(("of_rate", 1),),
@@ -285,7 +311,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("warm_up", "warm_up"),
         lambda s, _, v: [_rise(s, v)],
-        *("tau_s", 60.0, 1200.0),
+        value="tau_s",
+        low=60.0,
+        high=1200.0,
         points=20,
     ),
     Form(
@@ -300,7 +328,9 @@ FORMS: tuple[Form, ...] = (
             np.repeat(s.series["turn_on"][None], v.size, axis=0),
             s.series["turn_on"] * (1.0 - _rise(s, v)),
         ],
-        *("tau_s", 60.0, 1200.0),
+        value="tau_s",
+        low=60.0,
+        high=1200.0,
         points=20,
         needs=("turn_on",),
         options=(("decays", 1),),
@@ -314,7 +344,9 @@ FORMS: tuple[Form, ...] = (
     Form(
         *("ageing", "ageing, power law"),
         lambda s, _, v: [(s.series["clock"] / DAY_S)[None] ** v[:, None, None]],
-        *("exponent", 0.3, 0.9),
+        value="exponent",
+        low=0.3,
+        high=0.9,
         log=False,
         points=16,
         needs=("clock",),
@@ -454,12 +486,15 @@ def rms(x: Array) -> Array:
 
 
 def measure_scale(candidate: Candidate, columns: Sequence[Array], temperature: Array) -> Array:
-    """Return what a coefficient of 1 leaves of each column, NaN where too little, (columns, values).
+    """Return what a coefficient of 1 leaves of each column, NaN where too little.
 
     Args:
         candidate: whose columns these are; a rewriting form's is the rewritten temperature.
         columns: each of shape (values, rows), all runs end to end.
         temperature: shape (rows,), as logged.
+
+    Returns:
+        shape (columns, values).
     """
     scales = []
     for column in columns:

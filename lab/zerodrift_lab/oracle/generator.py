@@ -248,10 +248,7 @@ def draw_case(
     load = logged.series.get("load", np.zeros(drift.shape)) * full_scale
     measured = np.round((load + level * drift + noise) / adc_step) * adc_step
     series = {**logged.series, **({"load": load} if "load" in logged.series else {})}
-    effects = tuple(
-        replace(one, coefficients=tuple(_in_unit(one, k, level, full_scale) for k in one.coefficients))
-        for one in effects
-    )
+    effects = tuple(_turn_to_unit(one, level, full_scale) for one in effects)
     truth = Truth(seed, effects, order, level, ratio, adc_step, error_K, sizes)
     return Case(
         signals=Signals(series, step_s, full_scale),
@@ -268,8 +265,10 @@ LOAD_KINDS = ("span_tempco", "creep", "load_hysteresis", "load_nonlinearity", "c
 """Their columns are in the load's unit; while a case is drawn, the full scale is 1."""
 
 
-def _in_unit(effect: HiddenEffect, coefficient: float, level: float, full_scale: float) -> float:
-    return coefficient * level / (full_scale if effect.kind in LOAD_KINDS else 1.0)
+def _turn_to_unit(effect: HiddenEffect, level: float, full_scale: float) -> HiddenEffect:
+    """Return the effect with coefficients in the output's unit."""
+    unit = level / (full_scale if effect.kind in LOAD_KINDS else 1.0)
+    return replace(effect, coefficients=tuple(unit * k for k in effect.coefficients))
 
 
 def _scale_load(entry: Entry, full_scale: float) -> Entry:
@@ -292,7 +291,8 @@ def draw_slow(rng: np.random.Generator, shape: tuple[int, ...], step_s: float) -
     driven = rng.standard_normal((shape[0], shape[1] + burn))
     tau_s = np.array([SLOW_S])
     found = relax(relax(driven, tau_s, step_s)[0], tau_s, step_s)[0]
-    return found[:, burn:] * math.sqrt(4.0 * SLOW_S / step_s)
+    slow: Array = found[:, burn:] * math.sqrt(4.0 * SLOW_S / step_s)
+    return slow
 
 
 def _draw_drift(
@@ -399,7 +399,7 @@ def _draw_signals(
     """Return true signals at fine steps; loads are parts of the full scale, which is 1."""
     fine_s = step_s / SUBSTEPS
     shape = (len(lengths), max(lengths) * SUBSTEPS)
-    time = np.arange(shape[1]) * fine_s
+    time: Array = np.arange(shape[1], dtype=np.float64) * fine_s
     low, high = sorted(rng.uniform([-15.0, 35.0], [15.0, 75.0]))
     air = np.empty(shape)
     for run, length in enumerate(lengths):
@@ -468,7 +468,14 @@ def draw_air(
         now += hold + 1.0
         points.append((now, goal))
         value = goal
-    return np.interp(time, *np.array(points).T)
+    return _join(points, time)
+
+
+def _join(points: Sequence[tuple[float, float]], time: Array) -> Array:
+    """Return straight lines through (s, level), shape of `time`."""
+    seconds, levels = np.array(points).T
+    found: Array = np.interp(time, seconds, levels)
+    return found
 
 
 def _draw_steps(
@@ -481,7 +488,7 @@ def _draw_steps(
         points.append((now, points[-1][1]))
         now += rng.uniform(5.0, 20.0)
         points.append((now, float(rng.uniform(low, high))))
-    return np.interp(time, *np.array(points).T)
+    return _join(points, time)
 
 
 def _draw_input(rng: np.random.Generator, name: str, seconds: float, time: Array) -> Array:

@@ -31,7 +31,6 @@ from zerodrift_lab.oracle.forms import (
     MOST_EFFECTS,
     SLOW_S,
     Array,
-    Entry,
     SetPrior,
     leave_polynomial,
     rms,
@@ -182,9 +181,7 @@ class Oracle:
 
     # The evidence of a set at given values.
 
-    def weigh(
-        self, chosen: Set, x: Array, order: int, ratio: int | NDArray[np.int64]
-    ) -> Array:
+    def weigh(self, chosen: Set, x: Array, order: int, ratio: int | NDArray[np.int64]) -> Array:
         """Return log p(data | set, values, order, noise) plus the log prior of the values.
 
         Args:
@@ -231,7 +228,9 @@ class Oracle:
             several = len(scale) > 1
             wide = math.sqrt((self.middle**2 + self.width**2) / len(scale))
             for coefficient, places in enumerate(self.places[one]):
-                index.append(places[nodes] if len(places) > 1 else np.broadcast_to(places, (batch, 4)))
+                index.append(
+                    places[nodes] if len(places) > 1 else np.broadcast_to(places, (batch, 4))
+                )
                 weight.append(shares)
                 sd.append((wide if several else self.width) / scale[coefficient])
                 signed.append(not several)
@@ -246,7 +245,7 @@ class Oracle:
         signed: Sequence[bool],
         ratio: NDArray[np.int64],
     ) -> Array:
-        """Return log p(data) with coefficients and noise level integrated, signs summed, (batch,)."""
+        """Return log p(data), coefficients and noise level integrated, signs summed, (batch,)."""
         level = np.sqrt(1.0 + np.array(RATIOS)[ratio] ** 2)
         of_y = self.products[ratio, -1, -1]
         places = np.stack(index, axis=1)  # (batch, columns, 4)
@@ -273,7 +272,8 @@ class Oracle:
         found = n * np.log(u) - 0.5 * (a * u**2 - 2.0 * beta * u + gamma)
         found -= 0.5 * np.log(a * u**2 + n)
         summed = _log_sum(found, axis=1) - math.log(found.shape[1])
-        return summed - 0.5 * log_determinant + self.log_whiteners[ratio]
+        total: Array = summed - 0.5 * log_determinant + self.log_whiteners[ratio]
+        return total
 
     # The evidence of a set.
 
@@ -305,9 +305,7 @@ class Oracle:
         prior = np.full(len(RATIOS), math.log((1.0 - WHITE) / (len(RATIOS) - 1)) - math.log(2.0))
         prior[0] = math.log(WHITE) - math.log(2.0)
         repeated, ratios = np.repeat(x[None], len(RATIOS), axis=0), np.arange(len(RATIOS))
-        return np.array(
-            [self.weigh(chosen, repeated, order, ratios) + prior for order in (1, 2)]
-        )
+        return np.array([self.weigh(chosen, repeated, order, ratios) + prior for order in (1, 2)])
 
     def _climb(self, chosen: Set, x: Array, order: int, ratio: int) -> tuple[Array, float]:
         """Return the best values near x and the log volume of the peak, by damped Newton steps."""
@@ -439,12 +437,10 @@ def _interpolate(
 def _lay_stencil(
     x: Array, free: Sequence[int], step: float
 ) -> tuple[Array, Callable[[Array], tuple[Array, Array]]]:
-    """Return places for central differences about x, and what turns values into slope and Hessian."""
+    """Return places for central differences about x, and what makes slope and Hessian of them."""
     size = len(free)
     moves = [np.zeros(size)]
-    for i in range(size):
-        for sign in (1.0, -1.0):
-            moves.append(sign * np.eye(size)[i])
+    moves += [sign * np.eye(size)[i] for i in range(size) for sign in (1.0, -1.0)]
     pairs = [(i, j) for i in range(size) for j in range(i)]
     for i, j in pairs:
         for a, b in ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)):
