@@ -171,9 +171,7 @@ class Case:
         inputs = [name for name in COLUMNS if name in self.signals.series and name != CHIP]
         if inputs:
             lines += ["", "[inputs]"]
-        for name in inputs:
-            table = f'{{ column = "{COLUMNS[name]}", unit = "degC" }}'
-            lines.append(f"{name} = {table}" if name in BODIES else f'{name} = "{COLUMNS[name]}"')
+        lines += [f'{name} = "{COLUMNS[name]}"' for name in inputs]
         lines += ["", "[logs]", 'train = ["logs/run_*.csv"]', "tared = false"]
         lines += ["", "[[effect]]", 'kind = "zero_tempco"', f"order = {self.truth.order}"]
         return "\n".join(lines) + "\n"
