@@ -43,15 +43,14 @@ def weigh_by_hand(oracle: Oracle, case: Case, one: int | None, place: float, rat
         part = slice(start, start + size)
         noise[part, part] = module._covariance(size, case.signals.step_s, RATIOS[ratio])
         start += size
-    level = math.sqrt(1.0 + RATIOS[ratio] ** 2)
-    whole = noise + (x * (level * np.array(sd)) ** 2) @ x.T
+    whole = noise + (x * np.array(sd) ** 2) @ x.T
     values, vectors = np.linalg.eigh(whole)
     found = []
     for log_u in np.linspace(-3.0, 12.0, 6001):
         u = math.exp(log_u)
         signed = []
         for sign in (1.0, -1.0):
-            left = vectors.T @ (u * y - sign * level * (x @ np.array(middle)))
+            left = vectors.T @ (u * y - sign * (x @ np.array(middle)))
             signed.append(-0.5 * float(left**2 @ (1.0 / values)))
         found.append(y.size * log_u + np.logaddexp(*signed) - math.log(2.0))
     top = max(found)

@@ -53,7 +53,7 @@ SHARES = {
 }
 """How often a sensor has each input."""
 SIZES = (3.0, 10.0)
-"""Of an effect, in noise levels."""
+"""Of an effect, in noise levels: multiples of the RMS of the noise's white part."""
 CLOCK_S = 1.7e9
 """What the logged clock shows when the first run begins."""
 ERRORS_K = (0.0, 0.25, 1.0)
@@ -92,7 +92,7 @@ class Truth:
         seed: of the case.
         effects: 0 to 3.
         order: of the polynomial in the chip's temperature.
-        noise_level: RMS of white and slow part together, in the output's unit.
+        noise_level: RMS of the noise's white part, in the output's unit.
         slow_ratio: RMS of the slow part over that of the white one.
         adc_step: in the output's unit.
         thermometer_error_K: RMS of the slow difference of what acts from each thermometer.
@@ -237,11 +237,10 @@ def draw_case(
     drift, effects, order = _draw_drift(rng, fine, true, lengths, entries, chosen, sizes)
 
     # From here on in the output's unit; so far in noise levels.
-    white = 10.0 ** rng.uniform(-3.0, 0.0)
-    level = white * math.sqrt(1.0 + ratio**2)
+    level = 10.0 ** rng.uniform(-3.0, 0.0)
     slow = draw_slow(rng, drift.shape, step_s) if ratio else np.zeros(drift.shape)
-    noise = white * (rng.standard_normal(drift.shape) + ratio * slow)
-    adc_step = white * float(rng.choice([0.1, 0.5, 1.0]))
+    noise = level * (rng.standard_normal(drift.shape) + ratio * slow)
+    adc_step = level * float(rng.choice([0.1, 0.5, 1.0]))
     full_scale = 2000.0 * level
     load = logged.series.get("load", np.zeros(drift.shape)) * full_scale
     measured = np.round((load + level * drift + noise) / adc_step) * adc_step

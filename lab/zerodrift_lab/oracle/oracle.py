@@ -246,11 +246,10 @@ class Oracle:
         ratio: NDArray[np.int64],
     ) -> Array:
         """Return log p(data), coefficients and noise level integrated, signs summed, (batch,)."""
-        level = np.sqrt(1.0 + np.array(RATIOS)[ratio] ** 2)
         of_y = self.products[ratio, -1, -1]
         places = np.stack(index, axis=1)  # (batch, columns, 4)
         # In units of each coefficient's standard deviation.
-        shares = np.stack(weight, axis=1) * (level[:, None] * np.stack(sd, axis=1))[:, :, None]
+        shares = np.stack(weight, axis=1) * np.stack(sd, axis=1)[:, :, None]
         shares = shares * self.lengths[places]
         batch, size, _ = shares.shape
         flat, of = places.reshape(batch, -1), shares.reshape(batch, -1)
