@@ -25,7 +25,7 @@ from zerodrift.export.quantize_layers import quantize_layers, quantize_state_rea
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
-from zerodrift.train.attempts import Checkpoint, load_checkpoint, save_checkpoint
+from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.onnx_export import OnnxNetwork, build_onnx
 from zerodrift.train.sequences import Sequence32
 from zerodrift.train.settings import Tuning

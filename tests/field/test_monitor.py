@@ -17,7 +17,7 @@ from zerodrift.dataset.logs import open_sources
 from zerodrift.dataset.tables import mend_source
 from zerodrift.field.summary import MonitorResult
 from zerodrift.report.results import read_result
-from zerodrift.tasks import monitor
+from zerodrift.tasks import monitored_log
 
 
 def watch(unit: Path, state: Path, *arguments: object) -> Result:
@@ -269,7 +269,7 @@ def test_a_log_that_the_system_refuses_is_no_log_without_a_true_value(
             mend_source(source, OSError(24, "Too many open files"))
         return told.value
 
-    monkeypatch.setattr(monitor, "read_log_steps", refuse)
+    monkeypatch.setattr(monitored_log, "read_log_steps", refuse)
     result = watch(unit, tmp_path, log)
     assert len(asked) == 1
     assert "a.csv: cannot be read to its end (Too many open files)" in str(result.exception)

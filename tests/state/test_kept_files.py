@@ -21,7 +21,7 @@ from zerodrift.base.files import REMAINDER
 from zerodrift.base.lock import STATE, WAIT_VARIABLE, lock_project
 from zerodrift.base.records import read_sealed, render_sealed
 from zerodrift.diagnosis.history import load_history
-from zerodrift.train.attempts import Checkpoint, load_checkpoint, save_checkpoint
+from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 
 Command = Callable[..., Result]
 

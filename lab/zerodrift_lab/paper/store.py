@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from zerodrift.base.errors import InputError
-from zerodrift.train.attempts import write_whole
+from zerodrift.train.checkpoint import write_whole
 from zerodrift_lab.paper.world import digest_logs
 
 FORMAT = 1
@@ -38,7 +38,7 @@ PHYSICS = tuple(
     for name in (
         "campaign", "catalogue", "effect", "effects_element", "effects_input", "effects_load",
         "effects_temperature", "effects_time", "fit", "live", "model",
-        "reduction", "registry", "search", "signals", "terms",
+        "reduction", "search", "signals", "terms",
     )
 )  # fmt: skip
 OFFSETS = "zerodrift/diagnosis/case.py"
