@@ -49,7 +49,7 @@ class Core:
     triple: str = "arm-none-eabi"
     """Of that compiler: its name without `-gcc`."""
     emulated_as: str = ""
-    """The one of `CORES` as which unicorn runs it; empty: it is built for alone."""
+    """The one of `CORES` as which unicorn runs it; empty: `verify` leaves it out."""
 
 
 def list_cores() -> dict[str, Core]:

@@ -124,6 +124,8 @@ def load_program(chip: EmulatedCore, image: ELFFile) -> None:
         chip.mem_write(first, segment.data())
 
 
+# A generated model on an emulated chip: cross-compiled, and run by unicorn.
+
 Number = TypeVar("Number", np.int32, np.uint32, np.int64)
 _BATCH = 256  # steps per call into the chip, at most
 _ROOM = 65_536  # numbers of the states after the steps of one call

@@ -439,6 +439,9 @@ def _list_rows(field: StateField) -> Iterator[str]:
         yield line
 
 
+# Renders an integer model as one C header and one C source, deterministic to the byte.
+
+
 @dataclass(frozen=True)
 class GeneratedCode:
     """File names and texts of one model."""

@@ -61,6 +61,8 @@ def predict_fed_back(predict: Callable[[Run], Array], run: Run) -> Array:
     )
 
 
+# The float model: the graph of operations with parameters that describes every compensator.
+
 LOAD = "load:"
 """What names of the graph's signals of loads begin with."""
 SATURATED = "saturated:"

@@ -13,10 +13,10 @@ from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.onnx_export import OnnxNetwork
 
+# A network in float64 whose layers may read several others: recurrent and dense ones, a head.
+
 STEPS_AT_ONCE = 10_000
 
-
-# A network in float64 whose layers may read several others: recurrent and dense ones, a head.
 
 Recurrent = FloatGru | FloatLstm
 Still = FloatDense | FloatLayerNorm

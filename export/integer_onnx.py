@@ -101,6 +101,8 @@ def write_rate(w: OnnxWriter, model: IntegerModel, moved: str, span: str) -> str
     return w.op("And", fast, w.op("LessOrEqual", span, w.constant(MOST_HELD_US)))
 
 
+# The integer model as an ONNX graph of standard integer operators.
+
 START_GO_ON, START_COLD, START_SETTLED = 0, 1, 2
 """Values of the input `start`."""
 LAST_DRIFT = "last_drift"

@@ -367,6 +367,8 @@ def _make_gru(hidden: int, factors: Sequence[float]) -> FloatGru:
     return FloatGru(w_x, np.zeros((3, hidden, hidden)), np.zeros((4, hidden)), "after")
 
 
+# Single steps of a GRU or an LSTM that an exporter has taken apart become one node again.
+
 SPARE = 24
 """Samples beyond the unknowns."""
 

@@ -305,6 +305,8 @@ def _number(value: Value) -> float | None:
     return float(array.ravel()[0]) if array.size == 1 else None
 
 
+# The effect of each operator of a float ONNX graph on the reader's values, family by family.
+
 SUPPORTED = (
     "supported are forward GRUs and LSTMs with sigmoid and tanh; changes of shape; Add, Sub, Mul,"
     " Div, MatMul and Gemm with constants; sums and Concat of branches; the last sample of the"

@@ -274,6 +274,8 @@ __all__ = [
 ]
 
 
+# Reads a recurrent network from a float ONNX file, whoever wrote it.
+
 OLDEST_OPSET = 7
 MOST_NODES = 100_000
 """Of a graph whose functions are unfolded."""

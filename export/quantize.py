@@ -147,6 +147,8 @@ def describe_answers(
     return tuple(answers)
 
 
+# The quantizer: from a float compensator and its calibration to an integer model.
+
 FEATURE_HEADROOM = 2.0
 """A feature may grow to this multiple of its calibrated maximum before it saturates: a lag of the
 temperature is as large as its rate, and users heat faster than chambers do. The bit is not missed:

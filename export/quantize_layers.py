@@ -44,10 +44,10 @@ from zerodrift.operations.lstm.cell import GATES as LSTM_GATES
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.tables import TABLE_BITS
 
+# Formats for a dense layer, the finest that are provably safe.
+
 Exponents = NDArray[np.int64]
 
-
-# Formats for a dense layer, the finest that are provably safe.
 
 SHIFT_LIMIT = 30
 

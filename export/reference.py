@@ -136,6 +136,8 @@ def _go_on(
     return state, np.concatenate(outputs)
 
 
+# The integer model run in NumPy: the normative meaning of every bit, a batch of sequences at once.
+
 Observer = Callable[[int, dict[str, IntArray]], None]
 """Called after every step with its number and the values of all nodes."""
 

@@ -57,6 +57,8 @@ def limit_head(head: Tensor, swing: Tensor) -> None:
     head.mul_((swing / most).clamp(max=1.0)[:, :, None])
 
 
+# Recurrent weights so small that an error of the state shrinks, whatever the features are.
+
 GROWTH = 0.5
 """What a step adds at most to errors of the states that are all 1, for what it forgets of them."""
 SLOWEST = 7.0

@@ -39,8 +39,6 @@ from zerodrift.train.courses import (
 from zerodrift.train.networks import Network
 from zerodrift.train.sequences import Array32
 
-# The epochs of many trainings in step: gradients, steps, judgement on the held-out runs.
-
 # How networks are trained: the settings, the learning-rate cycle, and AdamW on many at once.
 
 
@@ -200,6 +198,8 @@ def explain_divergence(epoch: int, learning_rate: float) -> InputError:
         f" [network] learning_rate (now {learning_rate:g}) or look at the logs' range."
     )
 
+
+# The epochs of many trainings in step: gradients, steps, judgement on the held-out runs.
 
 WINDOWS_AT_ONCE = 4096
 """Windows of a network that are judged together: enough to keep the loop over time short."""
@@ -457,13 +457,9 @@ class Training:
         self._course.restore(i, standing.arrays)
 
 
-# Training problems, the starts of each, and a start's state in a checkpoint.
-
-
-# What a checkpoint of a training holds: where each attempt stands, and a mark of the inputs.
-
-
 __all__ = ["EpochProgress", "Problem", "Result", "train_networks"]
+
+# Trains any number of networks at once; one sensor is a batch of one.
 
 AT_ONCE = 256
 """Networks that walk through the epochs together on the CPU."""

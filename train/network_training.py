@@ -146,6 +146,9 @@ TrainAll = Callable[
 """Trains problems with a checkpoint of some name."""
 
 
+# Networks that are trained by epochs, of many sensors at once: a validation, then all runs.
+
+
 def train_tasks(tasks: Sequence[Task], handling: Handling) -> list[Answer]:
     """Train all networks with runs held out, then those that are worth their flash on all runs."""
     starts = max((len(task.settings.starts) for task in tasks), default=1)

@@ -1,9 +1,9 @@
-"""The recurrence of the GRU, of many networks at once, with gradients derived by hand.
+"""The recurrence of GRU and LSTM, of many networks at once, with gradients derived by hand.
 
 Every array has the networks as one more axis, [time, network, channel, sequence]; one network is a
 batch of one. Autograd over single steps spends its time on bookkeeping: for the small networks of a
 sensor a hand-written backward pass is four to six times faster, and it serves both places of the
-reset gate. The equations are those of `zerodrift.operations.gru`, gates in the order r, u, n:
+reset gate. The GRU's equations are those of `zerodrift.operations.gru`, gates in the order r, u, n:
 
     r = sigmoid(Wr x + Ur h + br)        u = sigmoid(Wu x + Uu h + bu)
     n = tanh(Wn x + bn + r * (Un h + cn))          reset "after"

@@ -86,7 +86,7 @@ def score(
     Args:
         compensator: trained on all training runs.
         dataset: the runs; its test runs are the held-out ones where there are any.
-        refit: without test runs, the same trained without the runs that `split` held out.
+        refit: without test runs, the same trained without the runs that `split_runs` held out.
         split: which those were.
     """
     tared = compensator.tared

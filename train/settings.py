@@ -43,8 +43,3 @@ class Tuning:
     evaluations: int = 12
     """How often all runs are walked through from their start and the best weights are kept."""
     seed: int = 0
-
-
-# What the training of networks is given, one task per sensor, and what comes of it.
-
-VALIDATION, FINAL, LEFT_OUT = "rehearsal.npz", "performance.npz", "left_out.npz"

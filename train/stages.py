@@ -203,6 +203,8 @@ def _standardise(columns: Sequence[Array]) -> list[Array]:
     return [((x - mean) / np.where(moves, spread, 1.0))[:, moves] for x in columns]
 
 
+# The parts before the network: physics, its lags, the linear part, and the residual to learn.
+
 SPACING_S = 10.0
 """Between the samples of a window: at 0.1 s the thermometer's noise hides the slope."""
 

@@ -148,6 +148,9 @@ def assemble_bank(alone: Compensator, fitted: FittedBank, runs: Sequence[Run]) -
     return replace(whole, calibration=calibrate(runs, features, predictions))
 
 
+# From zerodrift.toml and its logs to a trained compensator, of one sensor or of many at once.
+
+
 def list_checkpoints(config: Config) -> tuple[Path, ...]:
     """Return where trainings keep their state, which is removed with the result's arrival."""
     return tuple(config.build_directory / name for name in (VALIDATION, FINAL, LEFT_OUT, FREE))

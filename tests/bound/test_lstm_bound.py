@@ -24,8 +24,8 @@ from zerodrift.operations.errors import Known
 from zerodrift.operations.gate_sums import RealUnit
 from zerodrift.operations.lstm import IntegerLstmLayer, error
 from zerodrift.operations.lstm.error import HALVINGS, FloatGate, StepRules, halve
-from zerodrift_proof.bound import gru as bound_lstm
-from zerodrift_proof.bound.gru import GateLine, list_parts
+from zerodrift_proof.bound import recurrent as bound_lstm
+from zerodrift_proof.bound.recurrent import GateLine, list_parts
 from zerodrift_proof.certificate.check import compare
 
 KINDS = (

@@ -1,6 +1,6 @@
 """The page's plug-in is installed as a package would be, and each of its parts is found."""
 
-import importlib
+import importlib.util
 import re
 import sys
 import tomllib
@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.golden.model_factory import Shape, draw_model
 from tests.report.conftest import make_findings, make_trace
 from zerodrift.base import plugins
-from zerodrift.c_runtime.cores import list_cores, list_emulated
+from zerodrift.c_runtime.cores import find_cross_compilers, list_cores, list_emulated
 from zerodrift.cli import main
+from zerodrift.codegen.generate import generate
 from zerodrift.dataset.formats import registry
 from zerodrift.dataset.selectors import list_suffixes
 from zerodrift.export.importers import import_onnx
+from zerodrift.export.reference import Reference
 from zerodrift.physics import catalogue
 from zerodrift.report.findings import Provenance
 from zerodrift.report.report import render_report
@@ -88,6 +91,21 @@ def test_a_core_is_known_and_emulated(rig):
     assert list_cores()["my-chip"].emulated_as == "cortex-m4"
     assert "my-chip" in list_emulated()
     assert list_cores()["cortex-m4"].gcc
+
+
+def test_the_c_runs_on_it_bit_for_bit(rig, tmp_path):
+    if importlib.util.find_spec("unicorn") is None or not find_cross_compilers("my-chip"):
+        pytest.skip("unicorn or ziglang is not installed")
+    from zerodrift.c_runtime.emulator import EmulatedModel
+
+    model = draw_model(Shape(hidden=2, inputs=1, outputs=1), 3)
+    codes = np.full((40, len(model.channels)), 100, dtype=np.int32)
+    expected = Reference(model).run(codes[None])
+    drift, flags = EmulatedModel(model, generate(model), "my-chip", tmp_path).run(
+        codes, settled=True
+    )
+    np.testing.assert_array_equal(drift, expected.drift[0])
+    np.testing.assert_array_equal(flags, expected.flags[0])
 
 
 def test_a_command_is_listed_and_runs(rig):

@@ -251,6 +251,8 @@ def _split(data: BankData) -> list[NDArray[np.bool_]]:
     return [*parts, ~np.any(parts, axis=0)]
 
 
+# From runs and a physical model to the lag bank: data, weights, lags, units, and what to note.
+
 UNITS = 16
 """tanh units, where they help."""
 TRIAL_LAGS_S = (10.0, 60.0, 300.0)

@@ -122,6 +122,8 @@ def _evaluate(problem: ProjectionProblem, theta: Array) -> _ProjectionState:
     )
 
 
+# Which lags and how strong a ridge: by leaving runs out.
+
 GRID = 14
 """Time constants that are tried per thermometer, evenly spaced in the logarithm."""
 SHORTEST_STEPS = 3.0

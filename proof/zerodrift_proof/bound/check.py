@@ -12,7 +12,7 @@ from fractions import Fraction
 
 from zerodrift_proof.bound import numbers
 from zerodrift_proof.bound.conversion import ConversionCheck
-from zerodrift_proof.bound.gru import FeatureRange, bound_gru, bound_lstm
+from zerodrift_proof.bound.recurrent import FeatureRange, bound_gru, bound_lstm
 from zerodrift_proof.bound.signals import (
     COPY,
     ErrorClaim,
@@ -244,6 +244,8 @@ def _name_field(node: Expression) -> int:
         raise NotUnderstoodError("a load that is less by no drift")
     return _number(node.index)
 
+
+# Derives the error bound again from the numbers and tables of the C and those of the float model.
 
 HALF = Fraction(1, 2)
 STATE = 30

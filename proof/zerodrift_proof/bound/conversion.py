@@ -6,7 +6,7 @@ A statement that is not written as the generator writes it is refused, so that w
 what the C computes.
 
 For the check of the error bound: the table as the C has it, the formula as the
-certificate states it (`formulas`). Each line of the table is held against the formula at the
+certificate states it. Each line of the table is held against the formula at the
 ends of `CELLS` cells, between which both are within what the second derivative allows beside a
 chord; a line of few codes at each of its codes. So no code is left out. Needs the standard library
 only.
@@ -444,6 +444,8 @@ class SensorFormula:
         ends = sorted((self.given(low), self.given(high)))
         return abs(self.times) * self.pieces.kink(ends[0], ends[1], ends[1] - ends[0])
 
+
+# The chip's conversion of raw codes: its table in the C, and its distance from the formula.
 
 NUMBER = r"(?:-? ?\d+|\( - 2147483647 - 1 \))"
 LOOK_UP = (

@@ -28,14 +28,6 @@ from zerodrift_proof.certificate.values import (
 )
 from zerodrift_proof.known_runtime import is_known
 
-# A whole model: its names, its constants, its state, and every function, run over intervals.
-#
-# The names that a model's C gives to things, and what it writes between a macro's brackets.
-#
-# A name decides what a compiler takes for what: a function `memset` of a model's own is called
-# wherever the compiler itself fills memory. Every name is therefore held against those that the
-# generator makes (docs/reference/generated-c.md).
-
 
 @dataclass(frozen=True)
 class Claim:

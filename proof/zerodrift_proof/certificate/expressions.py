@@ -1,12 +1,7 @@
-"""C's operators and expressions, with intervals in place of numbers.
+"""C's operators, expressions and statements, with intervals in place of numbers.
 
-C's types and operators on intervals, and a list of what they reach.
-
-C's own rules give every operation its type, which must hold the result. Shares no code with the
-generator and needs the standard library only.
-
-C's own rules give every literal its type. Shares no code with the generator and needs the standard
-library only.
+C's own rules give every literal and every operation its type, which must hold the result. Shares no
+code with the generator and needs the standard library only.
 """
 
 import math

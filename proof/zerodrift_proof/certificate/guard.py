@@ -364,6 +364,8 @@ class _SetReader:
         return of.name
 
 
+# A model's own test of its state, and its checksum of it.
+
 FIELD = "check"
 """Where a state holds its sum."""
 NUMBERS = {

@@ -44,10 +44,6 @@ from zerodrift_proof.certificate.values import (
     make_block,
 )
 
-# What variables and the runtime's tables can hold.
-#
-# The runtime's tables as the checker reads them.
-
 TYPES |= {f"uint{n}_t": (0, 2**n - 1) for n in (8, 16, 32, 64)}
 LIMITS |= {
     f"{u}INT{n}_MAX": TYPES[f"{u.lower()}int{n}_t"][1] for u in ("", "U") for n in (8, 16, 32, 64)

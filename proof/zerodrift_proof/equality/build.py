@@ -345,6 +345,8 @@ def _point(machine: TermMachine, block: CellBlock) -> Spot:
     return Spot(block, machine.terms.constant(0), block.sizes)
 
 
+# One way to read the model's C, held against the specification, function by function.
+
 UNCHECKED = (UndecidedError, RefusedError, RecursionError, KeyError, ValueError)
 PROVEN, TESTED, OPEN = "proven", "tested, not proven", "not proven"
 

@@ -319,6 +319,3 @@ class Layers:
             for j in range(layer.hidden)
         ]
         return outputs, cells
-
-
-# What GRUs and LSTMs share: layers numbered unit by unit, states that stream, and windows.

@@ -1,4 +1,4 @@
-"""Runs C over terms: every variable holds what it is for any input, in the normal form.
+"""Runs C over terms: its memory holds what each variable is for any input, in normal form.
 
 Where a condition is not known, both arms are run and what they leave is joined; where an arm
 returns, each is a path of its own. What C does not define, and what has no rule, is not decided.
@@ -429,6 +429,8 @@ class PathMachine(Numbers):
             found.append(value.term)
         return found
 
+
+# Runs C over terms: every variable holds what it is for any input, in the normal form.
 
 MOST_ROUNDS = 200_000
 DEEPEST = 40

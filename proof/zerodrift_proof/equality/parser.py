@@ -46,13 +46,6 @@ from zerodrift_proof.equality.syntax import (
     Statement,
 )
 
-# C's integer types, and what the proof's parser makes of C.
-#
-# C's integer types as the proof has them: fixed widths, and an int of 32 bits.
-#
-# `PNode.at` counts tokens, so that whatever is found can be told with its place.
-
-
 OPERATORS = (
     ("||",),
     ("&&",),

@@ -6,7 +6,7 @@ What is shown of a firmware folder's C, for a model's file: the state that `init
 leave, what `step` gives and leaves of any state and input, that `state_is_sound` lets through what
 the specification says and nothing else, what `save` and `restore` do, the names in the header, and
 the self-test's answer. Sums are exact integers: every operation of the C is shown to fit its type
-on the way. Kernels in plain C are shown apart (`lemmas`), those in assembly from their object code
+on the way. Kernels in plain C are shown apart (`build`), those in assembly from their object code
 (`zerodrift_proof.object`), where somebody builds it. Those of intrinsics are taken at the
 specification, once their tables are shown to be the model's, and told as such.
 """
@@ -58,21 +58,6 @@ from zerodrift_proof.object.program import (
     show_builds,
     show_program,
 )
-
-# What a model's file says, step by step, over terms: the meaning that the C must have.
-#
-# The fields of a model's state in the C, and what a sound state holds in them.
-#
-# Written from docs/reference/integer-arithmetic.md and integer-layers.md, node by node; reads the
-# integer model and nothing of the C. The tests evaluate it beside the reference. The state is that
-# of the C: a ring of samples with the place of the oldest, which stands for them in their order.
-
-
-IDENTITY, STEPS, PREVIOUS = "identity", "steps", "previous_temperature"
-CHECK, SLEPT = "check", "slept_us"
-ANSWERED, TARE, TARED = "answered", "tare", "tared"
-"""Fields of the state that no node has."""
-
 
 INTRINSICS = ("zd_gru_pairs_t", "zd_gru_rows_t", "zd_gru_columns_t", "zd_lstm_rows_t")
 """Constants of kernels that have intrinsics, where they are not in assembly."""

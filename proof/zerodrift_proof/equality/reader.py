@@ -230,8 +230,6 @@ CPLUSPLUS = ('extern "C" {', "}")
 CLAIM = ("typedef", "char", "name", "[", "(", "holds", ")", "?", "1", ":", "-", "1", "]")
 FUNCTIONS = ("ZD_OBSERVE", "ZD_QUIET", "ZD_CLAIM")
 """Macros with parameters."""
-FREE = ("ZD_KERNEL", "ZD_GRU_ASSEMBLY", "ZD_ASSEMBLY", "ZD_SMALL", "ZD_UNALIGNED")
-"""What a build may choose, that a model's file may ask for."""
 
 
 class Behind(Enum):

@@ -8,7 +8,7 @@ Two neighbours of 16 bits are a pair, one signed word, the first one low; a word
 or vector is zero.
 
 `zd_tanh_q30`, `zd_exp2`, `zd_power` and the recurrent kernels stand for themselves; that their C is
-what the specification says is shown in `lemmas`. CRC, save and restore are taken as they are
+what the specification says is shown in `build`. CRC, save and restore are taken as they are
 documented; the runtime's text is known by its hash.
 """
 

@@ -155,9 +155,9 @@ def refuse_equal_steps(root: TomlTable, network: str) -> None:
     )
 
 
+# zerodrift.toml as frozen dataclasses; the names in it are the users' contract.
+
 FILE_NAME = "zerodrift.toml"
-FOLDER = "firmware"
-"""Where the C goes unless `[firmware] out` says otherwise."""
 USES = TRAIN, TEST, DWELL = ("train", "test", "dwell")
 """What `[logs]` selects runs for."""
 AUTO = "auto"

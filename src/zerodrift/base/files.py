@@ -1,4 +1,4 @@
-"""Files and folders: written whole or not at all, which of them are ours, and scratch ones."""
+"""Files: written whole or not at all, and which of a folder's are zerodrift's own."""
 
 import errno
 import hashlib

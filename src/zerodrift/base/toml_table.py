@@ -7,9 +7,9 @@ from pathlib import Path
 
 from zerodrift.base.errors import InputError, nearest
 
-# The line of each key of a TOML text, for messages about it.
-
 KeyPath = tuple[str | int, ...]
+
+# The line of each key of a TOML text, for messages about it.
 
 _KEY_PART = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'[^']*'|[A-Za-z0-9_-]+)\s*""")
 _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"' + r"|'[^']*'")
@@ -90,6 +90,8 @@ def _measure_value(line: str) -> tuple[int, str]:
     depth -= sum(bare.count(bracket) for bracket in "]}")
     return depth, ""
 
+
+# A table of a TOML file, read key by key with checks whose errors name file and line.
 
 LARGEST = 1e300
 

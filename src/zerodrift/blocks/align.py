@@ -565,6 +565,8 @@ def _put_together(
     return tuple(nodes)
 
 
+# Many units' integer models in one fixed-point format: the same shifts, the same sizes.
+
 Node = TypeVar("Node", bound=IntegerNode)
 
 

@@ -30,16 +30,10 @@ from zerodrift.operations.gru.layouts import find_pairs, has_fast_kernels, lay_o
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import ChannelNode, IntegerNode
 
+# A GRU's weights in a coarser format: rounded row by row together, for the states that occur.
+
 Numbers = NDArray[np.int64]
 
-
-# A GRU's weights in a coarser format: rounded row by row together, for the states that occur.
-#
-# Features and states of a layer go up and down together, so that what rounding one weight costs a
-# sum can be made good by the others of its row. Weights are rounded one after the other; what is
-# left of each is spread over those that are not rounded yet so that the sum changes least, in the
-# mean square over what the unit's own model goes through under drawn inputs. What is left in the
-# mean goes into the bias. Source: Frantar et al., GPTQ, arXiv:2210.17323, algorithm 1.
 
 RUNS, STEPS = 32, 600
 SLOWEST = 1e-2
@@ -145,6 +139,8 @@ def round_rows(rows: Array, inputs: Numbers) -> tuple[Numbers, Numbers]:
     bias = (rows - found) @ inputs.mean(axis=0)
     return found.astype(np.int64), np.round(bias).astype(np.int64)
 
+
+# A GRU in a block: its stream of numbers, the test of its rows, one format for many units.
 
 STREAM = "stream"
 """The attribute under which a layer's numbers stand in a block."""

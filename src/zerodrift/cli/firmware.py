@@ -113,6 +113,8 @@ def _read_memory(memory: str | None) -> str | int | None:
     return int(memory)
 
 
+# `zerodrift firmware`: logs in, host-checked C out.
+
 SMALL_BOUND = 0.1
 """Of what compensation gains: the share up to which a bound says something of the errors above it,
 and is printed; the certificate has every bound."""

@@ -99,6 +99,8 @@ def explain_memory() -> str:
     )
 
 
+# The command line: names the commands and loads each one's module only when it is called.
+
 #: Command name -> one-line help. The command itself is `zerodrift.cli.<name>:command`;
 #: further commands come from installed packages, by entry points that each give a mapping:
 #: command name -> (one-line help, "module:attribute").

@@ -411,6 +411,8 @@ def explain_stated(config: Config, name: str) -> str:
     return ""
 
 
+# The codes of each input of the chip, chosen to hold the logs; else the row they cannot hold.
+
 FLAG_MARGIN_K = 2.0
 """The temperature is flagged when it is further than this from the calibrated range."""
 RANGE_MARGIN = 0.25

@@ -95,6 +95,8 @@ def choose_codes(
     return chosen
 
 
+# Guesses a project from its logs: which files are runs, what each column is, and how sure.
+
 FULL_SCALE_STEPS = (1.0, 2.0, 5.0, 10.0)
 GENERIC_NAMES = re.compile(
     r"(logs?|data|out|output|measurements?|values|runs?|train|training|tests?|records?|recordings?"

@@ -227,6 +227,8 @@ def _smooth(values: Array) -> Array:
     return smoothed
 
 
+# Joins the files of one run on time: loggers with rates, jitter and clocks of their own.
+
 QUARTER_S = 900.0
 """Zones differ by whole quarters of an hour."""
 ONE_CLOCK = (

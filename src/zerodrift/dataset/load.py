@@ -172,6 +172,8 @@ def _find_unit_mismatch(
     return notes
 
 
+# From zerodrift.toml to runs: selects, reads, checks and resamples the logs.
+
 SMALL_SPAN_K = 2.0
 """Train logs that span less than this are noted: little can be learnt from them."""
 MOST_KEPT = 1 << 20

@@ -123,6 +123,8 @@ def _find_rows(
     return np.asarray(rows)
 
 
+# One log of a project as tables: its files, their clocks, which file holds which column.
+
 COMMON = "[logs] common"
 
 
@@ -190,7 +192,7 @@ def add_junctions(config: Config, needed: Mapping[str, str]) -> Mapping[str, str
 def _convert(config: Config, table: LogTable, keep_logged: bool) -> LogTable:
     """Bring the columns that zerodrift.toml converts to the quantity that the model takes.
 
-    A thermocouple whose cold junction is in another file waits for it (`joined_couples`).
+    A thermocouple whose cold junction is in another file waits for it (`open_log`).
     """
     own = {c: by for c, by in config.conversions.items() if c in table.columns}
     if keep_logged:

@@ -154,6 +154,9 @@ def _explain(config: Config, joined: LogTable, own: LogTable, column: str, row: 
     )
 
 
+# Opens one log: its rows, selected, checked and split into runs.
+
+
 def list_columns(config: Config) -> dict[str, str]:
     """Return column -> where the config names it, for every column that is read as numbers."""
     columns = {

@@ -134,6 +134,8 @@ def _list_odd_records(path: Path) -> Iterator[tuple[int, bytes, bool]]:
         yield start, record, False
 
 
+# Reads the needed columns of one log, CSV or Parquet, as float64 arrays.
+
 PARSER_ERRORS = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 """What Polars raises over a damaged file."""
 RUN_COLUMN = "run"

@@ -129,6 +129,8 @@ def _write_time_format(rest: str) -> tuple[str, str] | None:
     return match["between"] + clock + (f"{space}%#z" if zone else ""), "zoned" if zone else "local"
 
 
+# Reads the times of logs as seconds: formats, zones, midnight.
+
 DAY_S = 86400.0
 HALF_DAY_S = DAY_S / 2
 MINUTE_S = 60.0

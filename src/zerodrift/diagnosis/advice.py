@@ -302,6 +302,8 @@ def _find_remedy(table: MemoryTable, network: NetworkConfig, best: float) -> str
     return " ".join(ways)
 
 
+# What a model of the drift can learn from the logs, and which protocol to record next.
+
 SLOW_SHARE = 0.05
 """A lag longer than this share of the longest run differs from run to run by chance."""
 NARROW_K = 30.0

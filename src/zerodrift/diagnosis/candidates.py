@@ -105,6 +105,8 @@ def _excite(campaign: Campaign, base: Found, terms: Sequence[Term], weights: Arr
     return max(shares)
 
 
+# The effects that a model may lack: which of them these logs can test, and how well they fit.
+
 NEAR = 3.0
 """A value is near its typical range within this factor of it."""
 LEADING = 0.5

@@ -143,6 +143,8 @@ def _scatter(
     return float(np.mean(shares))
 
 
+# A model under diagnosis, with all that a verdict on it is drawn from.
+
 Advance = Callable[[str], None]
 
 LEAST_SHARE = 1e-12

@@ -119,6 +119,8 @@ def describe_unseen(
     )
 
 
+# Diagnosis repeated: add what is missing until nothing is, or until it has no name.
+
 MOST_ADDED = 6
 """Effects that repeated diagnosis adds at most."""
 

@@ -117,6 +117,8 @@ def place_rails(first: Examination, rails: Judged, findings: Sequence[Finding]) 
     return [mine, *findings]
 
 
+# Which effect a model lacks: a name, a group of look-alikes, "nothing", or an honest "unknown".
+
 MOST_EFFECTS = 4
 """Effects that are looked for together before giving up."""
 SHORTLIST = 6

@@ -323,6 +323,8 @@ def tell_probabilities(diagnosis: Diagnosis) -> Diagnosis:
     return replace(diagnosis, candidates=candidates, nothing_missing=nothing, something_else=beside)
 
 
+# The findings in words and numbers: verdict, next experiment, evidence, notes.
+
 WANTED_RUNS = 8
 
 

@@ -73,6 +73,8 @@ def try_thermometers(
     return sorted(found, key=lambda one: one.rmse_left_out_ratio)
 
 
+# What a drift may follow: a channel, its rate or its lag; and which of them an effect suspects.
+
 VALUE, RATE, LAG = "value", "rate", "lag"
 FORMS = (VALUE, RATE, LAG)
 TEMPERATURE, TIME = "temperature", "time"

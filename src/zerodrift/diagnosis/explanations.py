@@ -107,6 +107,18 @@ def _is_among(courses: Sequence[RunReading], span: tuple[float, float]) -> bool:
     return float(((read >= span[0]) & (read <= span[1])).mean()) >= AMONG
 
 
+def _assess(
+    bench: Bench, i: int, rest: frozenset[int], readings: Iterator[Explanation]
+) -> Iterator[tuple[Explanation, RunAgreement]]:
+    """Give readings with what is left by each; none takes the run away from where others were."""
+    span = _find_span(bench, i, rest)
+    is_among = _is_among(bench.courses[i], span)
+    for tried in readings:
+        after = bench.assess(i, rest, tried.courses)
+        if after is not None and (_is_among(tried.courses, span) or not is_among):
+            yield tried, after
+
+
 def find_reading(bench: Bench, rest: frozenset[int]) -> tuple[int, list[DataNote]] | None:
     """Return the run that another unit, sign, gain or order of its columns explains best, if any.
 
@@ -122,9 +134,8 @@ def find_reading(bench: Bench, rest: frozenset[int]) -> tuple[int, list[DataNote
             continue
         left = np.exp(np.log(np.maximum(now.misfit, 1e-12)).mean(axis=0))
         wrong = [k for k in range(len(bench.outputs)) if left[k] > 1.0]
-        for tried in _list_readings(bench, i, rest, wrong):
-            after = bench.assess(i, rest, tried.courses)
-            if after is not None and tried.count(after) / now.error <= best:
+        for tried, after in _assess(bench, i, rest, _list_readings(bench, i, rest, wrong)):
+            if tried.count(after) / now.error <= best:
                 found, best = (i, list(tried.notes)), tried.count(after) / now.error
     return found
 
@@ -133,12 +144,7 @@ def weigh(bench: Bench, i: int, rest: frozenset[int], now: RunAgreement) -> Expl
     """Return the explanation that leaves least of a run; None where none makes it agree."""
     best: Explanation | None = None
     least = (True, np.inf)
-    span = _find_span(bench, i, rest)
-    is_among = _is_among(bench.courses[i], span)
-    for tried in _list_all(bench, i, rest, now):
-        after = bench.assess(i, rest, tried.courses)
-        if after is None or (is_among and not _is_among(tried.courses, span)):
-            continue
+    for tried, after in _assess(bench, i, rest, _list_all(bench, i, rest, now)):
         doubts = float(now.doubt.max()), float(after.doubt.max())
         agrees = doubts[1] <= AGREES and after.error <= EXPLAINED * now.error
         most = EXPLAINED if tried.seen else CLEARLY

@@ -147,6 +147,8 @@ def _level(table: Array, piece: int | None) -> Array:
     return levelled
 
 
+# The noise floor: what no compensation can take away, measured on a dwell or else estimated.
+
 DWELL = "dwell"
 ESTIMATED = "estimated"
 ISOTHERMAL_K = 1.0
@@ -216,7 +218,7 @@ def measure_floor(dataset: Dataset) -> NoiseFloor:
 
     It depends on the logs alone: the same number for every model, in every command. What follows
     the logs' signals is no noise, be it in the model or not: it is taken out by a regression on
-    all of them (see `unexplained`), in the dwell where that leaves less.
+    all of them (see `Unexplained`), in the dwell where that leaves less.
 
     Args:
         dataset: the runs; the floor is for a training run of their median length.

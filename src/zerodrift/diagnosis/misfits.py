@@ -17,8 +17,6 @@ WRONG_GAIN = 0.15
 """A gain is wrong if it is off by more than this share."""
 FOLLOWS, WRONG_SLOPE = 0.9, 0.3
 """A column that follows the load to this share has a wrong gain if it is off by this much."""
-LOST = 0.1
-"""Share of an output's changes that its load has where it reads something else."""
 SAME = 1e-9
 """What two columns of one recorder's readings differ by at most, as a share, if they are one."""
 FAMILIAR_GAINS = (1000.0, 100.0, 10.0, 2.0, 9.80665, 4.44822)

@@ -91,7 +91,7 @@ def single_out_runs(runs: Sequence[Run], rests: Sequence[Array], noise: Array) -
             if max(max(memory[name]) for name in named) < WITHOUT_MEMORY:
                 return f"{who}: noisier than the dwell, without any memory"
             if len(named) == 1:
-                # Told by `bad_runs`, with more about it.
+                # Told by `course`, with more about it.
                 return ""
             return (
                 f"{100.0 * share:.0f} % of what is left beyond the noise lies in {who}: "

@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 
-# How sure an error is: what runs that were held out say of it one by one.
-
-
 FindUsable = Callable[[Run], NDArray[np.bool_]]
 
 

@@ -427,6 +427,8 @@ def find_patterns(scan: Scan, error: Array, square: Array) -> list[Pattern]:
     return patterns
 
 
+# The stretches of time in which a model is worst, each with what was going on, in words.
+
 NO_PATTERN = "no pattern found"
 CLOSED_GAP = 3
 """Gaps of up to this many blocks within a segment are bridged."""

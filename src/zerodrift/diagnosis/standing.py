@@ -12,13 +12,10 @@ from zerodrift.diagnosis.agreement import lag
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.physics.rails import FEWEST_VISITS, find_rails
 
-# Places within a run where a column goes on elsewhere: another unit, or rows that are missing.
-#
-# A thermometer has a heat capacity. Where its reading is somewhere else from one row to the next,
-# the row before and the row behind were not recorded one after the other, or not in one unit.
-
 SIDE = 12
 """Rows on either side of a break through which straight lines are laid."""
+# Places within a run where a column goes on elsewhere: another unit, or rows that are missing.
+
 BREAK = 12.0
 """The lines miss each other by this many times what they miss elsewhere (the median of all rows
 without a break), ..."""

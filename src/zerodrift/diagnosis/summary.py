@@ -124,6 +124,8 @@ class ComparisonSummary:
         }
 
 
+# What `add`, `remove` and `history` say, and the advice of `compare` and `diagnose`, as figures.
+
 ByOutput = Mapping[str, float]
 """Output -> a value, in its unit where nothing else is said."""
 

@@ -1,8 +1,8 @@
 """What a programme is expected to show: each truth is simulated, each rival refitted to it.
 
-The squared distance that a rival's best refit leaves of the white coefficients of `stage` is twice
-the expected log-likelihood ratio between the two, and what `diagnose` would find one gains over the
-other, in its own units.
+The squared distance that a rival's best refit leaves of the white coefficients of a staged log is
+twice the expected log-likelihood ratio between the two, and what `diagnose` would find one gains
+over the other, in its own units.
 
 Source: Atkinson and Fedorov, Biometrika 62 (1975), T-optimality; Kullback and Leibler (1951).
 """
@@ -41,7 +41,7 @@ from zerodrift.physics.terms import Term, build_features
 # Logs on the stage: what a sensor is exposed to in them, and how their noise becomes white.
 #
 # Signals are taken apart into octaves, in which the measured noise is white once each octave is
-# weighted (see `physics.octaves`). A log's mean is left out, since logs may be tared.
+# weighted (see `physics.reduction`). A log's mean is left out, since logs may be tared.
 
 POWERED_EARLIER_S = 7200.0
 
@@ -136,6 +136,8 @@ def make_signals(
     )
 
 
+# What a programme is expected to show: each truth is simulated, each rival refitted to it.
+
 ROWS = 192
 """Blocks of a log that are simulated, in a search."""
 CLOSE_ROWS = 768
@@ -143,8 +145,6 @@ CLOSE_ROWS = 768
 is told apart by its corners."""
 ROWS_BEFORE = 128
 """The same of each log that there is already."""
-MOST_OUTPUTS = 3
-"""Outputs that are looked at: those in which the contenders show most."""
 NEGLIGIBLE = 1e-9
 
 

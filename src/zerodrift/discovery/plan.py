@@ -243,6 +243,8 @@ def expect_disguise(gain: Array, squares: Array, samples: float) -> Array:
     return np.asarray(ndtr((enough - lost) / (2.0 * np.sqrt(lost))).max(axis=0, initial=0.0))
 
 
+# The next experiment: undecided effects, limits, and the programme that distinguishes them best.
+
 HOURS = 8.0
 BUDGET_S = 60.0
 NOISE_PCT = 0.01

@@ -144,6 +144,3 @@ def check_followed(programme: SetProgramme, limits: Limits) -> list[str]:
                 if not limits.inputs[name].low - 1e-9 <= value <= limits.inputs[name].high + 1e-9:
                     broken.append(f"{where}: {name} = {value:g} cannot be set")
     return broken
-
-
-# A programme as files: a table, and protocols in the words of the six-axis twin.

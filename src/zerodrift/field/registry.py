@@ -1,7 +1,7 @@
 """The registry: which units there are, how each was calibrated, and which block is on it.
 
 Readers are never held up, writers take turns. What was written stays: a unit's history is a list of
-events, of which none is changed. Other programs read it with any SQLite client (`registry_file`).
+events, of which none is changed. Other programs read it with any SQLite client.
 """
 
 import hashlib
@@ -162,6 +162,8 @@ def explain(path: Path, error: sqlite3.DatabaseError) -> InputError:
         " on a disk of this machine. Nothing was written."
     )
 
+
+# The registry: which units there are, how each was calibrated, and which block is on it.
 
 LEARNING, SOUND, NO_REFERENCE = NO_ALARM = ("learning", "sound", "no reference")
 """States of an output without an alarm; else the alarm's cause is its state."""

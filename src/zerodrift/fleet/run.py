@@ -282,6 +282,8 @@ def _first_line(error: BaseException) -> str:
     return (str(error).strip().splitlines() or ["no reason given"])[0]
 
 
+# A fleet from its directory to results: batches, where they go, and what is written at the end.
+
 BATCH = 32
 """Sensors in a batch: compiled together, and with a network trained together."""
 

@@ -163,6 +163,8 @@ def _telling_of(url: str) -> Iterator[None]:
         ) from error
 
 
+# Which sensors there are: the names that stand where `{sensor}` stands, and each one's logs.
+
 SELECTOR_SUFFIX = re.compile(r"(#[^#/]+)?(@[^@#/]*:[^@#/]*)?$")
 """Of a selector: the run and the part of it that are meant."""
 _GLOB = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)

@@ -324,6 +324,8 @@ def check_bits(host: HostModel, dataset: Dataset) -> int:
     return vectors
 
 
+# A few sensors from logs to checked C, in one process; a failure of one does not stop the others.
+
 PARAMETERS, MODEL = "parameters.json", "model.json"
 
 

@@ -124,6 +124,9 @@ def furthest(x: Fraction, within: Range) -> Fraction:
     return max(abs(x - within.low), abs(x - within.high))
 
 
+# Intervals of integers, in exact arithmetic: what the range face of every operation returns.
+
+
 @dataclass(frozen=True)
 class Interval:
     """All integers from low to high, both included."""

@@ -1,7 +1,7 @@
 """Training runs prepared so that columns can be built for them many times, reduced to octaves.
 
-Signals are averaged over blocks of samples, see `rates`; the blocks of each run are taken apart
-into octaves, see `octaves`; deviations within blocks are kept for every few blocks, so that fast
+Signals are averaged over blocks of samples; the blocks of each run are taken apart
+into octaves, see `reduction`; deviations within blocks are kept for every few blocks, so that fast
 parts are kept. All that follows is small algebra on sums of products.
 """
 
@@ -210,6 +210,8 @@ def _lay_side_by_side(stretches: Sequence[Array]) -> Array:
         row[x.size :] = x[-1]
     return laid
 
+
+# Training runs prepared so that columns can be built for them many times, reduced to octaves.
 
 MOST_ROWS = 6_000
 """Blocks in all runs together; more samples than that are averaged."""

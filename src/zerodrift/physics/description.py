@@ -101,6 +101,9 @@ if __name__ == "__main__":
     print(render_effects_page(load_catalogue()), end="")
 
 
+# Everything declared about an effect, as `effects --json` prints it and the page shows it.
+
+
 @dataclass(frozen=True)
 class ParameterDescription:
     """What is declared about a parameter."""

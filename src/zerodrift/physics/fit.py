@@ -233,6 +233,8 @@ def keep(question: FitQuestion, model: PhysicalModel) -> None:
     _KNOWN.append((question, model))
 
 
+# Fits a physical model to runs: parameters, coefficients, their errors, and what is undetermined.
+
 TARE_RATIO = 1.25
 """Runs have offsets of their own where these lower the squared error by more than this factor, and
 are not what the model's ageing makes of the clock."""

@@ -58,6 +58,9 @@ class ModelRecord:
     order: tuple[str, ...]
 
 
+# The physical model: effects with fitted values, and the coefficients of their features.
+
+
 @dataclass(frozen=True)
 class FittedTerm:
     """One effect of a fitted model: values, their errors, and whether a bound stopped the fit."""

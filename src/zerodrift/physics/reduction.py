@@ -9,19 +9,9 @@ from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
 
-IntArray = NDArray[np.int64]
-
-
 # Haar octaves: a run is cut in halves repeatedly, which separates slow from fast parts.
-#
-# Each coefficient is the scaled difference between the means of two neighbouring pieces of a run.
-# The coefficients of one run are an orthonormal change of basis: squared errors add up to the same
-# number, octave by octave. Their variance per octave is the Allan variance (times the piece's
-# length), in which white noise is flat, flicker noise grows in proportion to the length and a
-# random walk with its square. Coefficients of coloured noise are nearly uncorrelated, so weighting
-# each octave by its noise is generalised least squares without any filter.
-#
-# Source: D. B. Percival, Biometrika 82 (1995); D. W. Allan, Proc. IEEE 54 (1966).
+
+IntArray = NDArray[np.int64]
 
 
 MEANS = -1

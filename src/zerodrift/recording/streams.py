@@ -247,7 +247,7 @@ class MqttSource:
         self._client.loop_stop()
 
 
-# Sources of lines, and the values in each line by name.
+# Sources of lines: a serial port, a command's output, standard input.
 
 GRACE_S = 2.0
 """For a command to end after it was asked to."""

@@ -180,6 +180,8 @@ def _split(
     return groups
 
 
+# TK0, TKC, creep, hysteresis, repeatability: before and after compensation, as datasheets have it.
+
 MOST_ROWS = 60_000
 """More samples than that are averaged in blocks."""
 CREEP_TAUS_S = tuple(float(t) for t in np.geomspace(30.0, 3600.0, 15).round())

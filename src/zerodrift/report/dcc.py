@@ -100,6 +100,8 @@ def _name_symbol(symbol: str) -> str | None:
     return None
 
 
+# The datasheet's figures as a digital calibration certificate: XML of PTB's schema, DCC 3.3.0.
+
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA_VERSION = "3.3.0"

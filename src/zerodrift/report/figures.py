@@ -36,7 +36,6 @@ ACCENT = "#1668b8"
 MEASURED = "#8a94a0"
 LEFT = "#5b6876"
 HEATING = "#d1610a"
-COOLING = "#1668b8"
 STILL = "#8a94a0"
 FLOOR = "#7a8794"
 MARKED = "rgba(214, 158, 22, 0.20)"
@@ -444,6 +443,8 @@ __all__ = [
     "render_page",
 ]
 
+
+# The figures of the loop; used by the report, the page, `compare`, `history` and `effects`.
 
 LAGS = 60
 LEAST_RATIO = 1e-6

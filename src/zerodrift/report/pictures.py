@@ -155,6 +155,8 @@ def trace_steps(
     return at, [*values, values[-1]]
 
 
+# The loop's pictures for page and report: staircase, ranking, change, and error budget.
+
 LETTER = 6.6
 """Pixels of a letter."""
 LEAST = 1e-9

@@ -96,6 +96,8 @@ def _clean(name: str) -> str:
     return "".join(c if c.isalnum() or c in "_-." else "_" for c in name)
 
 
+# The report: one self-contained page that says what is known about a sensor and its model.
+
 WIDTH = 900.0
 """Pixels of a picture, which a printed page shows at about three quarters."""
 MOST_OUTPUTS = 6

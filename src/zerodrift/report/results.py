@@ -1,6 +1,6 @@
 """What each command finds: one frozen record per command, which `--json` writes as it is.
 
-`base.json_schema` describes them; `docs/reference/schemas` holds the descriptions.
+`base.records` describes them; `docs/reference/schemas` holds the descriptions.
 """
 
 import json

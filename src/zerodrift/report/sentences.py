@@ -155,6 +155,9 @@ def _list_names(names: Sequence[str], word: str) -> str:
     return f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
+# What a comparison, a verdict and a formula say, in sentences: for terminal, report and page.
+
+
 def explain_figures(comparison: Comparison) -> list[str]:
     """Return sentences on how far the tables' figures can be trusted."""
     sentences = [_finish(comparison.method.explain()), _finish(comparison.floor.explain())]

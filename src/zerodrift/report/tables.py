@@ -78,6 +78,8 @@ def list_parts(traces: Sequence[Trace], k: int) -> list[ReportPart]:
     return parts
 
 
+# Tables of the report and the page: what the commands found, with units, written for people.
+
 MOST_DEGREES = 1000.0
 """Degrees of freedom from which on Student's quantile is the normal one."""
 

@@ -74,8 +74,6 @@ def lay_out_cause(tall: Sequence[bool], width: float) -> CauseGeometry:
     return CauseGeometry(tuple(panes), inner, scatter, bottom, is_narrow)
 
 
-# What part of a run is shown, in which unit of time, and reduced to few points.
-
 # Reduces lines of many samples to few points: least and largest value of each step.
 
 MOST_POINTS = 1200

@@ -295,6 +295,8 @@ def summarise(log: Path, out: Path, rows: AppliedRows, notes: tuple[str, ...]) -
     )
 
 
+# A finished model over a log, as the chip would: drift, compensated value, uncertainty, flags.
+
 PredictFloat = Callable[[Run], Array]
 
 

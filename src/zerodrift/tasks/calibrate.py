@@ -158,6 +158,8 @@ def _find_longest(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tupl
     return int(ends[longest] - begins[longest]), int(begins[longest])
 
 
+# `calibrate`: the calibration matrix from converter codes and test weights.
+
 SUFFIXES = (".toml", ".json", ".h")
 
 

@@ -153,6 +153,8 @@ def _find_logs(logs: Sequence[Path], directory: Path) -> list[Path]:
     return sorted(set(paths), key=lambda path: order_path(path, directory))
 
 
+# `firmware`: logs in, or a network from elsewhere; host-checked C out.
+
 NO_TRAINING = (
     "no uncertainty is stated: it comes from models that left a training run out, and a network"
     " from an ONNX file cannot be trained again here"

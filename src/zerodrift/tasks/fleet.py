@@ -76,6 +76,8 @@ def _enter_calibration(
     )
 
 
+# `fleet`: hundreds of sensors of one design, each to checked C, and the yield.
+
 DEVICES = ("auto", "cpu", "cuda")
 
 

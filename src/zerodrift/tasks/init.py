@@ -364,6 +364,8 @@ def _strip_codes(config: Config, path: Path) -> Config:
     )
 
 
+# A project's beginning: a zerodrift.toml guessed from its logs, or brought up to date.
+
 NOT_YET = "the logs cannot be used yet"
 #: Use -> words in a log's name that suggest it.
 USE_WORDS = {"dwell": ("dwell", "isothermal", "noise"), "test": ("test", "walk", "valid")}

@@ -153,6 +153,8 @@ def _label(**labels: str) -> str:
     return ",".join(f'{name}="{value.translate(table)}"' for name, value in labels.items())
 
 
+# The deployed model against new logs: flags, range used, residual, and the sequential test.
+
 ABSOLUTE_S = 1e8
 """Times from here on are dates: 1973 and later; smaller ones count from the log's begin."""
 DAY_S = 86_400.0

@@ -302,10 +302,11 @@ def _shorten(values: Array) -> tuple[float, ...]:
     return tuple(float(f"{value:.9g}") for value in values)
 
 
-# The other units of a design that the fleet or the registry knows, with their models.
-
 SHOWN_UNITS = 3
 """Units that a note names."""
+
+
+# The other units of a design that the fleet or the registry knows, with their models.
 
 
 def find_known(

@@ -110,6 +110,9 @@ def build_program(
     return program
 
 
+# `verify`: the files of the firmware folder and of build/, against the model.
+
+
 @dataclass(frozen=True)
 class VerifyRequest:
     """Which firmware is verified, and what has to be."""

@@ -172,6 +172,8 @@ def _list_signals(signal: Signal, lines: list[Line], places: dict[int, int]) -> 
     return places[id(real)]
 
 
+# The overflow certificate: every bound that the arithmetic of a model relies on, and of what C.
+
 FORMAT = 1
 FILE_NAME = "certificate.json"
 

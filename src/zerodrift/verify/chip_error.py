@@ -387,6 +387,8 @@ def _rms(x: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
 
 
+# The error between chip and float model, row by row: rounding, range, clamp, saturation.
+
 ROUNDING_SHARE = 0.002
 """What the arithmetic's rounding may cost, as a share of the drift's own RMS."""
 BEYOND_ROUNDING = 3.0

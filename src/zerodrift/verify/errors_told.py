@@ -61,6 +61,9 @@ def tell_conversions(model: IntegerModel) -> list[str]:
     return lines
 
 
+# The error of a compensator in physical units: uncompensated, float, integer, per output.
+
+
 @dataclass(frozen=True)
 class OutputError:
     """Root mean square errors of one output over a set of runs, in its unit."""

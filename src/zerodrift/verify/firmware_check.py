@@ -52,6 +52,8 @@ def check_onnx(
     return check_host(host, codes, settled=settled, peer=run)
 
 
+# Builds a generated model for the host and holds it against the reference on every sequence.
+
 Progress = Callable[[str], None]
 
 

@@ -215,6 +215,8 @@ def _check_copies(host: HostModel, codes: CodeArray) -> Iterator[str]:
             return
 
 
+# Builds the C of a firmware folder, and nothing else, in every way there is, and runs it.
+
 Progress = Callable[[str], None]
 
 STANDARD = ("-std=c99",)

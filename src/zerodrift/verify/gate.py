@@ -297,6 +297,8 @@ def _find_output(model: IntegerModel, channel: Channel) -> int:
     return names.index(channel.source.removeprefix(MEASURED))
 
 
+# The gate: whether the firmware matches the float model on held-out runs, and improves the drift.
+
 WORSE_THAN_FLOAT = 0.10
 """Share by which it may exceed the float model's and the budgeted rounding's together."""
 FEWEST_ROWS = 30

@@ -111,9 +111,3 @@ class OnnxModel:
             else np.empty((batch, steps, 0), dtype=np.int64),
             state=np.concatenate(after, axis=1),
         )
-
-
-# Proves the integer ONNX equal to the host C, which is shown equal to the reference beside it.
-#
-# The C runs through the whole sequence; onnxruntime starts a batch of chunks from the states that
-# the C hands over, as in `zerodrift.verify.host_check`.

@@ -119,6 +119,8 @@ def check_records(config: Config, model_hash: str) -> Iterator[ManifestFinding]:
             yield ManifestFinding(DAMAGED, shown, text)
 
 
+# `verify`: compares the files of a project's firmware folder and of build/ with the model.
+
 RANDOM_STEPS = 20_000
 COLD_STEPS = 200
 """Of the golden vectors, after init rather than settle."""

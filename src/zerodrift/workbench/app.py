@@ -350,6 +350,9 @@ def lay_out_first(place: Workplace) -> Component:
     return page
 
 
+# The page: which of its parts listen to which.
+
+
 class _Page(Dash):  # type: ignore[misc,unused-ignore]
     """The page, with its frame shown until its scripts have drawn it."""
 

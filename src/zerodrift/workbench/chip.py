@@ -166,6 +166,8 @@ class LiveSteps:
             begin_s = end_s
 
 
+# The firmware's own C in the page: what there is to replay, and a live sensor's lines.
+
 CHIP, WASM, MODEL = "chip.json", "chip.wasm", "model.json"
 LONGEST_TEXT = 1_000_000
 """Bytes of lines in one request."""

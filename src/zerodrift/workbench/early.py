@@ -175,6 +175,8 @@ def write_skeleton(name: str, subtitle: str, facts: Sequence[str]) -> str:
     )
 
 
+# The first page, at once: the page's frame and what zerodrift.toml says, while all else is loaded.
+
 HOST = "127.0.0.1"
 STYLES = (
     Path(report.__file__).parent / "templates" / "page.css",

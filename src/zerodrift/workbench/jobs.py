@@ -30,6 +30,8 @@ def name_preview(result: Path, effect: str, run: str) -> Path:
     return result / f"preview.{effect.encode().hex()}.{run.encode().hex()}.npy"
 
 
+# Commands run as separate processes: with progress, and cancellable; a crash spares the page.
+
 EVENT_MARK = "event: "
 GRACE_S = 4.0
 """Seconds after which a child that was asked to end is killed."""

@@ -256,6 +256,9 @@ def draw_seed() -> int:
     return secrets.randbelow(1_000_000)
 
 
+# Serves the page to this machine alone.
+
+
 class _Quiet(WSGIRequestHandler):  # type: ignore[misc,unused-ignore]
     """A request handler that prints nothing."""
 

@@ -294,6 +294,8 @@ def _show_delivery(firmware: FirmwareSummary) -> list[Component]:
     ]
 
 
+# What the page shows at a moment: one function for each group of its parts.
+
 NOTHING = "nothing is missing"
 NO_EFFECT = "none"
 """Chosen to have no effect drawn over what is left."""

@@ -124,6 +124,8 @@ def explain_guess(guess: InitResult) -> str:
     return "\n".join(lines)
 
 
+# One project as the page knows it: what was found, what is being done, what can be undone.
+
 CHILD = "zerodrift.workbench.worker"
 LOOKS_AT = ("verify", "report", "apply", "propose", "plan", "chip")
 """Commands after which the project is as it was."""

@@ -313,6 +313,3 @@ def _bare(text: str) -> str:
         if depth == 0 and place < len(text) - 1:
             return text
     return text[1:-1]
-
-
-# A formula as a user's file of effects, which `add` takes.

@@ -150,6 +150,8 @@ def explain(expression: Expression) -> Meaning:
     )
 
 
+# A formula for what no effect of the catalogue explains, or that there is none.
+
 SEARCHES = 3
 """Where one term explains too little a second is looked for, and then the first one anew."""
 SHORTLIST = 12

@@ -358,6 +358,8 @@ class StepRules(GateSums):
         return Forget(a, table, most, min(left, bound_sigmoid(-a.high).low))
 
 
+# Bounds the distance of an integer LSTM's output from that of real arithmetic, for any run length.
+
 TRIES = 40
 
 

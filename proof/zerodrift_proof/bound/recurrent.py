@@ -1,13 +1,8 @@
-"""Derives the error of a GRU's states again: from the C's numbers and table, and the float layer's.
+"""Derives the errors of recurrent layers again: of a GRU's states and of an LSTM's outputs.
 
-How far the sums of a recurrent layer's gates are off, for the second derivation of its error.
-
-The chip's accumulators are taken through as integers. Shares no code with what derived them first
-and needs the standard library only.
-
-docs/reference/error-bound.md states the rule. Here the chip's accumulators are taken through as
-integers, and the errors are found by elimination. Shares no code with what derived them first and
-needs the standard library only.
+From the C's numbers and table, and the float layer's. docs/reference/error-bound.md states the
+rules. The chip's accumulators are taken through as integers, and the errors are found by
+elimination. Shares no code with what derived them first and needs the standard library only.
 """
 
 from collections.abc import Sequence
