@@ -159,7 +159,8 @@ def _rise(s: Signals, values: Array) -> Array:
 
 FORMS: tuple[Form, ...] = (
     Form(
-        *("dark_current", "dark_current"),
+        "dark_current",
+        "dark_current",
         lambda s, place, v: [2.0 ** ((s.series[place] - 25.0)[None] / v[:, None, None])],
         value="doubling_K",
         low=8.0,
@@ -168,17 +169,20 @@ FORMS: tuple[Form, ...] = (
         thermal=True,
     ),
     Form(
-        *("zero_tempco", "zero_tempco"),
+        "zero_tempco",
+        "zero_tempco",
         lambda s, place, v: [s.series[place][None]],
         thermal=True,
     ),
     Form(
-        *("thermal_gradient", "thermal_gradient"),
+        "thermal_gradient",
+        "thermal_gradient",
         lambda s, place, v: [slope(s.series[place], s.step_s)[None]],
         thermal=True,
     ),
     Form(
-        *("thermal_lag", "thermal_lag, rewriting"),
+        "thermal_lag",
+        "thermal_lag, rewriting",
         lambda s, place, v: [relax(s.series[place], v, s.step_s)],
         value="tau_s",
         low=5.0,
@@ -188,7 +192,8 @@ FORMS: tuple[Form, ...] = (
         options=(("own_terms", 0), ("time_constants", 1)),
     ),
     Form(
-        *("thermal_lag", "thermal_lag, own"),
+        "thermal_lag",
+        "thermal_lag, own",
         lambda s, place, v: [relax(s.series[place], v, s.step_s)],
         value="tau_s",
         low=5.0,
@@ -198,7 +203,8 @@ FORMS: tuple[Form, ...] = (
         options=(("own_terms", 1), ("time_constants", 1)),
     ),
     Form(
-        *("thermal_hysteresis", "thermal_hysteresis, rewriting"),
+        "thermal_hysteresis",
+        "thermal_hysteresis, rewriting",
         lambda s, place, v: [play(s.series[place], v)],
         value="half_width_K",
         low=0.2,
@@ -208,7 +214,8 @@ FORMS: tuple[Form, ...] = (
         options=(("own_terms", 0),),
     ),
     Form(
-        *("thermal_hysteresis", "thermal_hysteresis, own"),
+        "thermal_hysteresis",
+        "thermal_hysteresis, own",
         lambda s, place, v: [play(s.series[place], v) - s.series[place]],
         value="half_width_K",
         low=0.2,
@@ -218,7 +225,8 @@ FORMS: tuple[Form, ...] = (
         options=(("own_terms", 1),),
     ),
     Form(
-        *("clock_delay", "clock_delay"),
+        "clock_delay",
+        "clock_delay",
         lambda s, place, v: [shift(s.series[place], v, s.step_s)],
         value="delay_s",
         low=1.0,
@@ -227,7 +235,8 @@ FORMS: tuple[Form, ...] = (
         rewrites=True,
     ),
     Form(
-        *("span_tempco", "span_tempco"),
+        "span_tempco",
+        "span_tempco",
         lambda s, place, v: [(s.series[place] - v[:, None, None]) * s.series["load"]],
         value="calibrated_degC",
         low=15.0,
@@ -238,7 +247,8 @@ FORMS: tuple[Form, ...] = (
         options=(("cross_axes", 0),),
     ),
     Form(
-        *("creep", "creep"),
+        "creep",
+        "creep",
         _relaxed("load"),
         value="tau_s",
         low=60.0,
@@ -248,7 +258,8 @@ FORMS: tuple[Form, ...] = (
         options=(("time_constants", 1), ("settled", 0)),
     ),
     Form(
-        *("creep", "creep, settled"),
+        "creep",
+        "creep, settled",
         lambda s, _, v: [relax(s.series["load"], v, s.step_s) - s.series["load"]],
         value="tau_s",
         low=60.0,
@@ -258,7 +269,8 @@ FORMS: tuple[Form, ...] = (
         options=(("time_constants", 1), ("settled", 1)),
     ),
     Form(
-        *("load_hysteresis", "load_hysteresis"),
+        "load_hysteresis",
+        "load_hysteresis",
         lambda s, _, v: [play(s.series["load"], v * s.full_scale / 100.0) - s.series["load"]],
         value="half_width_pct",
         low=0.3,
@@ -268,16 +280,18 @@ FORMS: tuple[Form, ...] = (
         options=(("plays", 1),),
     ),
     Form(
-        *("load_nonlinearity", "load_nonlinearity"),
+        "load_nonlinearity",
+        "load_nonlinearity",
         lambda s, _, v: [
             ((s.series["load"] / s.full_scale) ** power)[None] * s.full_scale for power in (2, 3)
         ],
         needs=("load",),
     ),
-    Form(*("crosstalk", "crosstalk"), _same("load"), needs=("load",)),
-    Form(*("supply_sensitivity", "supply_sensitivity"), _same("supply"), needs=("supply",)),
+    Form("crosstalk", "crosstalk", _same("load"), needs=("load",)),
+    Form("supply_sensitivity", "supply_sensitivity", _same("supply"), needs=("supply",)),
     Form(
-        *("excitation_heating", "excitation_heating"),
+        "excitation_heating",
+        "excitation_heating",
         _relaxed("supply", 2),
         value="tau_s",
         low=30.0,
@@ -286,7 +300,8 @@ FORMS: tuple[Form, ...] = (
         needs=("supply",),
     ),
     Form(
-        *("humidity", "humidity"),
+        "humidity",
+        "humidity",
         _relaxed("humidity"),
         value="tau_s",
         low=600.0,
@@ -296,7 +311,8 @@ FORMS: tuple[Form, ...] = (
         options=(("of_rate", 0),),
     ),
     Form(
-        *("humidity", "humidity, of its rate"),
+        "humidity",
+        "humidity, of its rate",
         lambda s, _, v: [s.series["humidity"] - relax(s.series["humidity"], v, s.step_s)],
         value="tau_s",
         low=600.0,
@@ -305,11 +321,12 @@ FORMS: tuple[Form, ...] = (
         needs=("humidity",),
         options=(("of_rate", 1),),
     ),
-    Form(*("ambient_light", "ambient_light"), _same("ambient_light"), needs=("ambient_light",)),
-    Form(*("barometric_pressure", "barometric_pressure"), _same("pressure"), needs=("pressure",)),
-    Form(*("inertial_load", "inertial_load"), _same("acceleration_z"), needs=("acceleration_z",)),
+    Form("ambient_light", "ambient_light", _same("ambient_light"), needs=("ambient_light",)),
+    Form("barometric_pressure", "barometric_pressure", _same("pressure"), needs=("pressure",)),
+    Form("inertial_load", "inertial_load", _same("acceleration_z"), needs=("acceleration_z",)),
     Form(
-        *("warm_up", "warm_up"),
+        "warm_up",
+        "warm_up",
         lambda s, _, v: [_rise(s, v)],
         value="tau_s",
         low=60.0,
@@ -317,13 +334,15 @@ FORMS: tuple[Form, ...] = (
         points=20,
     ),
     Form(
-        *("turn_on_bias", "turn_on_bias"),
+        "turn_on_bias",
+        "turn_on_bias",
         _same("turn_on"),
         needs=("turn_on",),
         options=(("decays", 0),),
     ),
     Form(
-        *("turn_on_bias", "turn_on_bias, decaying"),
+        "turn_on_bias",
+        "turn_on_bias, decaying",
         lambda s, _, v: [
             np.repeat(s.series["turn_on"][None], v.size, axis=0),
             s.series["turn_on"] * (1.0 - _rise(s, v)),
@@ -336,13 +355,15 @@ FORMS: tuple[Form, ...] = (
         options=(("decays", 1),),
     ),
     Form(
-        *("ageing", "ageing"),
+        "ageing",
+        "ageing",
         lambda s, _, v: [s.series["clock"][None] / DAY_S],
         needs=("clock",),
         options=(("power_law", 0),),
     ),
     Form(
-        *("ageing", "ageing, power law"),
+        "ageing",
+        "ageing, power law",
         lambda s, _, v: [(s.series["clock"] / DAY_S)[None] ** v[:, None, None]],
         value="exponent",
         low=0.3,
