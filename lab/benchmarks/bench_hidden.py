@@ -14,10 +14,10 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarks import open_pool
 from benchmarks.hidden.cases import Case, list_cases
 from benchmarks.hidden.outcomes import Outcome, read_outcomes, run_case
 from benchmarks.hidden.tables import check, list_misses, report
@@ -28,7 +28,7 @@ def run_cases(cases: Sequence[Case], processes: int) -> Iterator[Outcome]:
     if processes == 1:
         yield from map(run_case, cases)
         return
-    with ProcessPoolExecutor(processes) as pool:
+    with open_pool(processes) as pool:
         yield from pool.map(run_case, cases, chunksize=2)
 
 

@@ -14,11 +14,11 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks import open_pool
 from zerodrift_lab.oracle.generator import SIZES, draw_case
 from zerodrift_lab.oracle.oracle import Oracle
 
@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = [(options.seed * 100_000 + n, (low, high)) for n in range(options.cases)]
     print(f"{len(asked)} simulated sensors, seed {options.seed}, sizes {low:g} to {high:g}")
     judged = []
-    with ProcessPoolExecutor(options.processes) as pool:
+    with open_pool(options.processes) as pool:
         for one in pool.map(judge_case, asked):
             judged.append(one)
             print(f"\r{len(judged)} done", end="", file=sys.stderr, flush=True)

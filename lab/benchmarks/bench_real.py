@@ -17,13 +17,14 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import open_pool
 from benchmarks.real.loop import run_loop
 from benchmarks.real.records import Entry, list_entries, mark_entry, read_record
 from benchmarks.real.simple import (
@@ -123,7 +124,7 @@ def read_results(path: Path | None, entries: Sequence[Entry]) -> dict[str, Resul
 def run_all(entries: Sequence[Entry], data: Path, jobs: int) -> Iterator[Result]:
     """Yield results as they are done, and say on stderr how far it is."""
     start = time.perf_counter()
-    with ProcessPoolExecutor(jobs) as workers:
+    with open_pool(jobs) as workers:
         waiting = [workers.submit(judge, entry, data) for entry in entries]
         for number, done in enumerate(as_completed(waiting), 1):
             result = done.result()

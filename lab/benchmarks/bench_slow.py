@@ -20,7 +20,6 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -28,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from benchmarks import open_pool
 from benchmarks.bench_conditions import bound
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
@@ -198,7 +198,7 @@ def run_tasks(
     if processes == 1:
         yield from map(measure, tasks)
         return
-    with ProcessPoolExecutor(processes) as pool:
+    with open_pool(processes) as pool:
         yield from pool.map(measure, tasks, chunksize=2)
 
 

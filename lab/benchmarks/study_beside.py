@@ -10,12 +10,12 @@ Each gets one examination, and the sound effect that gains most is held against 
 
 import argparse
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
+from benchmarks import open_pool
 from benchmarks.evidence.conditions import CONDITIONS, Ask, list_asks
 from benchmarks.evidence.sources import CannotDrawError, draw
 from zerodrift.base.errors import InputError
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    with ProcessPoolExecutor(options.jobs) as pool:
+    with open_pool(options.jobs) as pool:
         rows = [row for row in pool.map(see, list_wanted(options.count, options.seed)) if row]
     beside = [row for row in rows if row.ask.purpose == "beside"]
     outside = [row for row in rows if row.ask.purpose == "outside"]

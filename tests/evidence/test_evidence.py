@@ -1,5 +1,6 @@
 """The command for public evidence: its cases, its bounds and bands, and that work goes on."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import islice
 
@@ -151,16 +152,7 @@ def test_outcomes_are_read_back_and_not_run_again(tmp_path, monkeypatch, capsys)
         ran.append(one)
         return Row(one, verdict="complete", steps=(Step("", 0.5, "complete"),))
 
-    class Here:
-        def __init__(self, jobs: int) -> None: ...
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_): ...
-        def map(self, function, asks):
-            return map(function, asks)
-
-    monkeypatch.setattr(command, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr(command, "open_pool", ThreadPoolExecutor)
     monkeypatch.setattr(command, "run_case", pretend)
     monkeypatch.setattr(store_module, "HOME", tmp_path)
     line = ["conditions", "--condition", "clean", "--count", "3", "--seed", "8"]

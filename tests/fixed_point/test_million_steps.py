@@ -1,9 +1,10 @@
-"""One million recurrent steps of one sequence, every hidden state compared, at 0 LSB."""
+"""Long runs: a GRU's million steps at 0 LSB, and an LSTM's integers beside float64."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.bench_recurrent import LSTM_MARK_PCT, measure_lstm
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.c_runtime.host import HostModel
@@ -36,3 +37,12 @@ def test_a_million_steps_of_a_slow_memory_are_exact(weights: str, tmp_path: Path
     assert check.mismatch is None
     assert check.steps == STEPS
     assert check.values_compared >= STEPS * (HIDDEN + len(model.outputs) + 1)
+
+
+def test_16_bit_lstm_stays_with_float_over_thousands_of_steps() -> None:
+    assert max(measure_lstm(300, 4000, "int16")) <= LSTM_MARK_PCT
+
+
+def test_8_bits_cost_more_than_16() -> None:
+    wide, narrow = (sum(measure_lstm(301, 2000, weights)) for weights in ("int16", "int8"))
+    assert wide < narrow

@@ -20,9 +20,9 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from itertools import islice
 
+from benchmarks import open_pool
 from benchmarks.evidence import tables
 from benchmarks.evidence.conditions import (
     CONDITIONS,
@@ -60,7 +60,7 @@ def work(asks: Sequence[Ask], store: Store, jobs: int, minutes: float) -> bool:
     """Run what the store lacks; return whether all of it was run."""
     begin = time.monotonic()
     left = [ask for ask in asks if ask not in store]
-    with ProcessPoolExecutor(jobs) as pool:
+    with open_pool(jobs) as pool:
         for place in range(0, len(left), jobs):
             if time.monotonic() - begin > 60.0 * minutes:
                 return False

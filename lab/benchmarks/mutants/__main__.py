@@ -163,7 +163,10 @@ def run(
     bad = sum(line["finding"]["kind"] in BAD[way] for line in known)
     if bad >= count:
         return known
-    with multiprocessing.Pool(jobs) as pool, log.open("a", encoding="utf-8") as file:
+    with (
+        multiprocessing.get_context("spawn").Pool(jobs) as pool,
+        log.open("a", encoding="utf-8") as file,
+    ):
         for text in pool.imap(work, tasks):
             line = json.loads(text)
             known.append(line)

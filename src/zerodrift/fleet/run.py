@@ -122,7 +122,7 @@ class Processes:
         # A fork would take along threads of Polars and PyTorch that no longer run.
         context = multiprocessing.get_context("spawn")
         pool = self._pool or ProcessPoolExecutor(
-            self._jobs, context, initializer=_ignore_interrupts
+            self._jobs, mp_context=context, initializer=_ignore_interrupts
         )
         self._pool = pool
         pending: set[Future[list[SensorOutcome]]] = set()
