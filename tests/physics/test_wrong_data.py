@@ -308,14 +308,26 @@ def test_dwell_that_spikes_as_often_as_the_runs_is_none_of_the_recorder(clean):
     assert not find_spikes((*every, spiking), clean.outputs)
 
 
-def test_steps_of_a_coarse_converter_beside_a_finer_reference_are_no_spikes(clean):
+@pytest.mark.parametrize("codes", [4.0, 0.0])
+def test_steps_of_a_coarse_converter_beside_a_finer_reference_are_no_fault(clean, codes):
+    """It moves from code to code, or rests at one for as long as noise does not reach the next."""
     rng = np.random.default_rng(2)
     (rest,) = clean.dwell
     reference = rest.reference + 0.01 * rng.standard_normal(rest.reference.shape)
-    slow = np.linspace(0.0, 4.0, len(rest))[:, None]
-    measured = 5.0 * np.round(slow + 0.25 * rng.standard_normal((len(rest), 2)))
+    slow = np.linspace(0.0, codes, len(rest))[:, None]
+    measured = 5.0 * np.round(slow + 0.22 * rng.standard_normal((len(rest), 2)))
     coarse = replace(rest, reference=reference, measured=measured)
     assert not find_spikes((*clean.train, coarse), clean.outputs)
+    assert not [n for n in find_standing((coarse,), clean.outputs) if n.column != "temperature"]
+
+
+def test_thermometer_that_rests_in_a_part_of_a_run_alone_is_connected(clean):
+    run = clean.train[0]
+    first, later = run.take(slice(0, 60)), run.take(slice(60, len(run)))
+    still = warm(first, lambda t: np.full_like(t, t[0]))
+    assert not find_standing((still, *clean.train[1:], later), clean.outputs)
+    (note,) = find_standing((still, *clean.train[1:]), clean.outputs)
+    assert (note.run, note.kind) == (run.group, "constant")
 
 
 @pytest.mark.parametrize(("height", "told"), [(2000.0, True), (3.0, False)])

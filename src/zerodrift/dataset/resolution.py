@@ -70,6 +70,16 @@ def count_codes(values: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.bool
     return ordered[starts], counts, counts >= max(RECURRING, BY_CHANCE * counts.max())
 
 
+def measure_code(values: Array) -> float:
+    """Return the least distance of values [n] that recur: a coarse converter's step, or 0.
+
+    A column that rests between two codes shows no more of its step than this.
+    """
+    levels, counts, _ = count_codes(values)
+    codes = levels[counts >= RECURRING]
+    return float(np.diff(codes).min()) if codes.size > 1 else 0.0
+
+
 def measure_resolution(values: Array) -> float:
     """Return the step of a coarse converter, of which the values [n] that recur are multiples.
 

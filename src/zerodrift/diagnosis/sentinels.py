@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from zerodrift.base.arrays import Array, Mask
+from zerodrift.dataset.resolution import measure_code
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
 
@@ -184,7 +185,7 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         if rows.size >= FEWEST_SPIKES:
             notes.append(_tell_spikes(run, "temperature", rows, run.temperature_degC))
     for k, name in enumerate(outputs):
-        found = [_list_drift_peaks(run.drift[:, k], float(run.resolution[k])) for run in runs]
+        found = [_list_drift_peaks(run, k) for run in runs]
         shares = _share_peaks(runs, k, found)
         counts = {group: np.zeros(2) for group in shares}
         for run, rows in zip(runs, found, strict=True):
@@ -202,11 +203,13 @@ def find_spikes(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
     return notes
 
 
-def _list_drift_peaks(drift: Array, resolution: float) -> NDArray[np.intp]:
+def _list_drift_peaks(run: Run, k: int) -> NDArray[np.intp]:
+    drift = run.drift[:, k]
     steps = np.abs(np.diff(drift))
-    # A coarse converter at rest still moves by its step, beside a reference that is finer.
     usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
-    return _list_peaks(drift, HIGH * max(usual, resolution))
+    # A coarse converter at rest still moves by its step, beside a reference that is finer.
+    step = max(float(run.resolution[k]), measure_code(run.measured[:, k]))
+    return _list_peaks(drift, HIGH * max(usual, step))
 
 
 def _share_peaks(

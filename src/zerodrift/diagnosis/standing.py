@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.outliers import find_jumps
+from zerodrift.dataset.resolution import measure_code
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.agreement import lag
 from zerodrift.diagnosis.data_notes import DataNote
@@ -24,8 +25,8 @@ ONCE = 0.6
 LARGEST = 5.0
 """... and this step is so many times larger than the largest elsewhere in that column."""
 CHANCE = 0.1
-"""Chance with which a break would look by itself like a change of unit, or like a thermometer that
-had stopped: the less likely of the two is told, from here on missing rows."""
+"""Chance with which a break would look by itself like a change of unit; from here on missing rows
+are told."""
 LOUDER = 3.0
 """The noise of an output behind a change of its unit differs by this factor at least, ..."""
 PLAIN = 20.0
@@ -107,11 +108,10 @@ def find_break(x: Array, elsewhere: float = 0.0) -> ColumnBreak | None:
     step = float(steps[row - 1])
     if step <= LARGEST * max(float(rest.max()), elsewhere):
         return None
-    before, after = (
-        _reach(x[row - SIDE : row], SIDE),
-        _reach(x[row : row + SIDE], -1),
-    )
+    # Without the row on either side, which an uneven clock mixes.
+    before, after = _reach(x[row - SIDE : row - 1], SIDE), _reach(x[row + 1 : row + SIDE], -2)
     usual = float(np.median(steps)) + float(np.std(np.diff(x[row - SIDE : row])))
+    usual = max(usual, measure_code(x[row:]))
     gap = abs(after - before)
     if gap < BREAK * usual or step < ONCE * gap:
         return None
@@ -129,16 +129,6 @@ def _reach(x: Array, at: int) -> float:
     return float(np.polyval(np.polyfit(np.arange(x.size), x, 1), at))
 
 
-def _share_standing(runs: Sequence[Run], length: int) -> float:
-    """Return the share of rows up to which the thermometer has held one value for so many rows."""
-    held = 0
-    for run in runs:
-        edges = np.flatnonzero(np.diff(run.temperature_degC) != 0.0)
-        lengths = np.diff(np.concatenate([[-1], edges, [len(run) - 1]]))
-        held += int(np.maximum(lengths - length + 1, 0).sum())
-    return held / sum(map(len, runs))
-
-
 def _tell_break(run: Run, found: ColumnBreak, runs: Sequence[Run]) -> DataNote:
     rows = (found.row, len(run) - 1)
     conversions = {
@@ -152,15 +142,16 @@ def _tell_break(run: Run, found: ColumnBreak, runs: Sequence[Run]) -> DataNote:
     # A break of any size up to this one would meet one of them on either side.
     by_unit = 2.0 * len(conversions) * missed / abs(found.after - found.before)
     stand = _measure_stand(run.temperature_degC, found.row)
-    by_stand = _share_standing(runs, stand)
-    if by_unit <= min(by_stand, CHANCE):
+    before = _Stand(run, found.row - stand, found.row - 1, run.temperature_degC[found.row - 1])
+    stopped = stand >= FEWEST_STANDING and _goes_on(before, run.temperature_degC)
+    if by_unit <= CHANCE and not stopped:
         text = (
             f"goes from {found.before:.4g} to {found.after:.4g} at row {found.row}, which is "
             f"{words}: the unit changes within the run. Convert one part, or cut the run there "
             "(file@from:to)"
         )
         return DataNote(run.group, "temperature", rows, "unit_change", text)
-    if by_stand <= CHANCE:
+    if stopped:
         text = (
             f"the thermometer repeats one value {stand} times and then jumps from "
             f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
@@ -279,8 +270,9 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
     for k, (name, columns) in enumerate(_list_columns(runs, outputs), start=-1):
         thermometer = name == "temperature"
         moving = [float(np.ptp(x)) > 0.0 for x in columns]
-        for run, x, moves in zip(runs, columns, moving, strict=True):
-            if not moves and thermometer and len(run) >= FEWEST_STANDING:
+        moved = {run.group for run, moves in zip(runs, moving, strict=True) if moves}
+        for run, x in zip(runs, columns, strict=True):
+            if run.group not in moved and thermometer and len(run) >= FEWEST_STANDING:
                 text = (
                     f"the thermometer reads {x[0]:.4g} degC in all {len(run)} rows; expected "
                     "a temperature that moves. Is it connected, and is this its column?"
@@ -293,6 +285,7 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             for stand in _list_stands(run, x)
         ]
         stands.sort(key=lambda stand: -stand.length)
+        code = min((step for x in columns if (step := measure_code(x)) > 0.0), default=0.0)
         told = 0
         for stand in stands:
             # Stands of one run at one value are one fault.
@@ -306,6 +299,8 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             if stand.length < max(least, LONGER * usual):
                 break
             x = columns[[run is stand.run for run in runs].index(True)]
+            if not thermometer and np.ptp(_expect_stand(stand, k, _is_apart(stand, x))[0]) <= code:
+                continue  # expected to move by less than a coarse converter's code
             held = _ends_in_jump(stand, x) if thermometer else _is_held(stand, x, k)
             at_limit = stand.value in (x.max(), x.min()) and not held
             rests = thermometer and not _goes_on(stand, x)
@@ -365,20 +360,33 @@ def _goes_on(stand: _Stand, x: Array) -> bool:
 
 
 def _weigh_stand(stand: _Stand, x: Array, k: int) -> Array:
-    """Return how far output k is in a stand's rows from what is expected, in usual errors, [m].
+    """Return how far output k is in a stand's rows from what is expected, in usual errors, [m]."""
+    left, usual = _expect_stand(stand, k, x != stand.value)
+    return np.asarray(left / max(usual, 1e-300))
 
-    What is expected is the load and, of the drift, a straight line of the temperature and of its
-    lags through the run's other rows.
+
+def _is_apart(stand: _Stand, x: Array) -> Mask:
+    """Return the rows [n] that are not a stand's."""
+    rows = np.arange(x.size)
+    return (rows < stand.first) | (rows > stand.last)
+
+
+def _expect_stand(stand: _Stand, k: int, others: Mask) -> tuple[Array, float]:
+    """Return how far output k is in a stand's rows from what is expected [m], and what is usual.
+
+    What is expected is the load and, of the drift, a straight line of the temperature, its lags
+    and the load, each at any temperature, through other rows [n].
     """
     run = stand.run
     warm = run.temperature_degC - run.temperature_degC.mean()
-    basis = np.stack([np.ones(x.size), warm, *lag(warm, run.sample_period_s)], axis=1)
-    others = x != stand.value
+    load = run.reference[:, k]
+    lags = lag(warm, run.sample_period_s)
+    basis = np.stack([np.ones(warm.size), warm, *lags, load, load * warm], axis=1)
     drift = run.drift[:, k]
     factors = np.linalg.lstsq(basis[others], drift[others], rcond=None)[0]
     left = drift - basis @ factors
     usual = 1.4826 * float(np.median(np.abs(left[others] - np.median(left[others]))))
-    return np.asarray(left[stand.first : stand.last + 1] / max(usual, 1e-300))
+    return left[stand.first : stand.last + 1], usual
 
 
 def _tell_stand(

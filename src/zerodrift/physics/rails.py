@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
-from zerodrift.dataset.resolution import LEAST_SHARE, count_codes
+from zerodrift.dataset.resolution import LEAST_SHARE, count_codes, measure_code
 
 FEWEST_SAMPLES = 5
 """Samples at the extreme within a run before it counts as a rail."""
@@ -44,7 +44,7 @@ def find_rails(measured: Array, reference: Array) -> Array:
         return flags
     between = ~(ends[0] | ends[1])
     resolved = _is_resolved(measured, between, same)
-    still = float(np.ptp(reference)) == 0.0
+    still = float(np.ptp(reference)) <= measure_code(measured)
     if still and not resolved:
         return flags
     many = np.count_nonzero(~between) >= LEAST_SHARE * measured.size
