@@ -23,7 +23,7 @@ from zerodrift.dataset.runs import Dataset, Run, predict_along
 from zerodrift.export.channels import list_channels
 from zerodrift.export.encoding import encode_channel, find_held
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import (
     Channel,
     IntegerModel,
@@ -36,7 +36,6 @@ from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.backend import GraphOperations, evaluate
-from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
 from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.times import count_us
@@ -157,15 +156,14 @@ def _describe_physics(
     return describe_compensator(alone, config, runs)
 
 
-def _read_network(
-    compensator: "Compensator",
-) -> FloatNetwork | FloatLayeredNetwork | FloatFeedForward | None:
+def _read_network(compensator: "Compensator") -> FloatNetwork | None:
     if compensator.network is None:
         return None
     if compensator.is_recurrent:
         network = read_imported_bytes(compensator.network, "the trained network").network
         return replace(network, trained=OnnxNetwork(compensator.network))
-    return compensator.feed_forward
+    layers = compensator.feed_forward
+    return FloatNetwork.stack(layers.dense, layers.head, layers.head_bias)
 
 
 def list_outputs(config: Config) -> tuple[OutputFormat, ...]:

@@ -18,8 +18,8 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import Calibration, FloatModel, predict_fed_back
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
-from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.gru.cell import FloatGru
@@ -157,7 +157,7 @@ def draw_bench(seed: int, steps: int, hidden: int) -> Bench:
         warm_up_steps=0,
         ranges={node: (float(v.min()), float(v.max())) for node, v in values.items()},
     )
-    model = replace(model, network=FloatNetwork(gru, head, np.zeros(len(OUTPUTS))))
+    model = replace(model, network=FloatNetwork.stack((gru,), head, np.zeros(len(OUTPUTS))))
     return Bench(model, calibration, replace(run, measured=measured), truth)
 
 
