@@ -6,9 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.chip_codes import (
@@ -208,7 +207,7 @@ def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
 
 def encode_junction(
     channels: Sequence[Channel], index: int, run: Run, outputs: Sequence[str]
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Return the codes [n] of the channel that measures a cold junction, converted if they are."""
     channel = channels[index]
     codes, _ = encode_channel(channel, read_source(outputs, channel.source, run))
@@ -216,7 +215,7 @@ def encode_junction(
     return given if channel.conversion is None else channel.conversion.convert(given)
 
 
-def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int64]:
+def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> IntArray:
     """Return the channels' own codes [n, C] of a run, into which raw ones are converted."""
     codes = encode_inputs(model, run)[:, : len(model.channels)]
     return convert_codes(model.channels, codes)
@@ -285,9 +284,7 @@ def calibrate(model: FloatModel, runs: Sequence[Run]) -> Calibration:
     )
 
 
-def find_flagged(
-    channel: Channel, columns: Sequence[NDArray[np.int64]], spans: float
-) -> tuple[int, int]:
+def find_flagged(channel: Channel, columns: Sequence[IntArray], spans: float) -> tuple[int, int]:
     """Return the codes beyond which an input is flagged; there is one beyond on either side."""
     low, high = min(int(c.min()) for c in columns), max(int(c.max()) for c in columns)
     margin = round(spans * (high - low)) + 1

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import TRAIN, require
@@ -28,7 +28,6 @@ from zerodrift.export.quantize import (
 )
 from zerodrift.export.quantize_layers import quantize_grus
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.dense import FloatDense, IntegerDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.head import IntegerHead

@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.chip_codes import TEMPERATURE
 from zerodrift.dataset.runs import Run, predict_all, predict_along
@@ -164,7 +163,7 @@ class FloatModel:
         """Return the network's input [n, I'] of a run."""
         return self._whiten(self._compute_taps(run))
 
-    def find_usable(self, run: Run) -> NDArray[np.bool_]:
+    def find_usable(self, run: Run) -> Mask:
         """Return [n, K] which samples show the drift."""
         usable = np.ones(run.measured.shape, dtype=np.bool_)
         if self.set_aside:

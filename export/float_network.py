@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.layer_norm import FloatLayerNorm
@@ -197,7 +196,7 @@ class FloatNetwork:
             parts.append(self._walk(k, found, samples)[:, -1])
         return np.concatenate(parts)
 
-    def _walk(self, k: int, found: Mapping[int, Array], samples: NDArray[np.int64]) -> Array:
+    def _walk(self, k: int, found: Mapping[int, Array], samples: IntArray) -> Array:
         """Return what a layer gives over windows of samples [n, N] from zero, [n, N, M]."""
         if not k or not self.layers[k - 1].recurrent:
             return found[k][samples]

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.export.float_model import Calibration, FloatModel
 from zerodrift.export.float_network import FloatNetwork
@@ -31,7 +30,7 @@ STATE_BITS = 30
 
 
 def describe_features(
-    taps: Sequence[Signal], whitening: Array, tap_mean: Array, exponents: NDArray[np.int64]
+    taps: Sequence[Signal], whitening: Array, tap_mean: Array, exponents: IntArray
 ) -> list[Signal]:
     """Return the features, which stand for whitening @ (taps - mean), limited to int16.
 
@@ -111,7 +110,7 @@ def _describe_lstm(name: str, lstm: FloatLstm, features: Sequence[Signal]) -> li
 
 
 def _describe_dense(
-    layer: FloatDense, name: str, exponents: NDArray[np.int64], below: list[Signal]
+    layer: FloatDense, name: str, exponents: IntArray, below: list[Signal]
 ) -> list[Signal]:
     signals = []
     for i, row in enumerate(layer.weight.tolist()):
@@ -220,9 +219,7 @@ def quantize_graph(
     return Quantized(integer, lowering.signals, tuple(lowered), answers, scales)
 
 
-def _gather(
-    signals: Sequence[Signal], coefficients: Array
-) -> tuple[list[Signal], Array, NDArray[np.float64]]:
+def _gather(signals: Sequence[Signal], coefficients: Array) -> tuple[list[Signal], Array, Array]:
     """Return a weighted sum of signals with every node once.
 
     Args:
@@ -294,7 +291,7 @@ def _lower_network(
     return describe_network(network, scales, lowering.nodes, features), scales
 
 
-def choose_feature_exponents(calibration: Calibration) -> NDArray[np.int64]:
+def choose_feature_exponents(calibration: Calibration) -> IntArray:
     """Return [I] f of the network's features, which stand for integer * 2**-f."""
     largest = FEATURE_HEADROOM * calibration.feature_max
     return np.array([min(choose_exponent(float(x), INT16_MAX), 15) for x in largest])
@@ -305,7 +302,7 @@ def _lower_drift(
     model: FloatModel,
     signals: list[Signal],
     weights: Array,
-    head_exponents: NDArray[np.int64] | None,
+    head_exponents: IntArray | None,
     offset: Array,
     calibration: Calibration,
 ) -> None:

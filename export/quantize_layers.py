@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.export.float_network import FloatNetwork, width_of
 from zerodrift.export.lowering import Lowering
@@ -45,8 +45,6 @@ from zerodrift.operations.tables import TABLE_BITS
 
 # Formats for a dense layer, the finest that are provably safe.
 
-Exponents = NDArray[np.int64]
-
 
 SHIFT_LIMIT = 30
 
@@ -55,10 +53,10 @@ def quantize_dense(
     layer: FloatDense,
     name: str,
     source: str,
-    exponents: Exponents,
+    exponents: IntArray,
     inputs: Sequence[Interval],
     of_features: bool = False,
-) -> tuple[IntegerDense, Exponents]:
+) -> tuple[IntegerDense, IntArray]:
     """Return a dense layer with the finest formats that are provably safe.
 
     A row of "clip" keeps the largest result that its inputs can give, so that int16 never
@@ -155,12 +153,12 @@ class GateRows:
 class GateFormat:
     """Integer rows of one gate at scale 2**exponent (the n gate's features at one bit less)."""
 
-    w_x: NDArray[np.int64]
-    w_h: NDArray[np.int64]
-    bias: NDArray[np.int64]  # outside the reset product
-    bias_inside: NDArray[np.int64]
+    w_x: IntArray
+    w_h: IntArray
+    bias: IntArray  # outside the reset product
+    bias_inside: IntArray
     shift: int
-    multiplier: NDArray[np.int64] | None
+    multiplier: IntArray | None
     multiplier_shift: int
 
     def fits(self, inside: bool) -> bool:
@@ -182,7 +180,7 @@ class GateFormat:
         return largest <= INT16_MAX and int((from_x + product).max()) <= INT32_MAX
 
 
-def quantize_gru(gru: FloatGru, feature_exponents: NDArray[np.int64], weights: str) -> IntegerGru:
+def quantize_gru(gru: FloatGru, feature_exponents: IntArray, weights: str) -> IntegerGru:
     """Return the integer GRU with the finest power-of-two scale per gate that is provably safe.
 
     Args:
@@ -245,7 +243,7 @@ def refuse_not_finite(kind: str, layer: FloatGru | FloatLstm) -> None:
             raise CheckError(f"{kind} {name}{list(at)} is not finite; the model is refused")
 
 
-def choose_gate(gate: GateRows, feature_exponents: NDArray[np.int64], weights: str) -> GateFormat:
+def choose_gate(gate: GateRows, feature_exponents: IntArray, weights: str) -> GateFormat:
     """Return a gate's rows at the finest scale that is provably safe.
 
     Args:
@@ -270,7 +268,7 @@ def choose_gate(gate: GateRows, feature_exponents: NDArray[np.int64], weights: s
 
 
 def _format_gate(
-    gate: GateRows, feature_exponents: NDArray[np.int64], weights: str, exponent: int
+    gate: GateRows, feature_exponents: IntArray, weights: str, exponent: int
 ) -> GateFormat | None:
     """Return the gate's rows with its accumulator at 2**exponent, or None if one cannot fit."""
     inside = gate.inside
@@ -299,7 +297,7 @@ def _format_gate(
 
 def _format_recurrent(
     w_h: Array, exponent: int, weights: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64] | None, int] | None:
+) -> tuple[IntArray, IntArray | None, int] | None:
     """Return integer rows, and for int8 the multipliers and their shift; None if one cannot fit."""
     if weights == "int16":
         scaled = np.round(w_h * 2.0**exponent)
@@ -313,7 +311,7 @@ def _format_recurrent(
     return rows.astype(np.int64), np.round(scale * 2.0**shift).astype(np.int64), shift
 
 
-def quantize_head(weights: Array) -> tuple[NDArray[np.int16], NDArray[np.int64]]:
+def quantize_head(weights: Array) -> tuple[NDArray[np.int16], IntArray]:
     """Return int16 rows [K, H] for the head and the exponent of each row's 32-bit sum.
 
     Args:
@@ -340,9 +338,7 @@ def quantize_head(weights: Array) -> tuple[NDArray[np.int16], NDArray[np.int64]]
 LARGEST_CODE = 32768.0
 
 
-def quantize_lstm(
-    lstm: FloatLstm, feature_exponents: NDArray[np.int64], weights: str
-) -> IntegerLstm:
+def quantize_lstm(lstm: FloatLstm, feature_exponents: IntArray, weights: str) -> IntegerLstm:
     """Return the integer LSTM with the finest power-of-two scale per gate that is provably safe.
 
     Args:
@@ -387,7 +383,7 @@ def quantize_lstm(
     )
 
 
-def choose_cell_bits(lstm: FloatLstm, feature_exponents: NDArray[np.int64]) -> int:
+def choose_cell_bits(lstm: FloatLstm, feature_exponents: IntArray) -> int:
     """Return the fractional bits of the cell state: as many as its proven range leaves, 24 to 27.
 
     |c| is at most i g / (1 - f) with the largest i, g and f that features of 16 bits and |h| <= 1
@@ -413,8 +409,8 @@ FINEST = 24
 
 
 def quantize_layer_norm(
-    layer: FloatLayerNorm, name: str, source: str, exponents: Exponents
-) -> tuple[IntegerLayerNorm, Exponents]:
+    layer: FloatLayerNorm, name: str, source: str, exponents: IntArray
+) -> tuple[IntegerLayerNorm, IntArray]:
     """Return a layer normalisation with the finest formats that are provably safe.
 
     Args:
@@ -477,7 +473,7 @@ def quantize_layer_norm(
 
 
 def quantize_grus(
-    grus: Sequence[FloatGru], feature_exponents: Exponents, weights: str
+    grus: Sequence[FloatGru], feature_exponents: IntArray, weights: str
 ) -> list[IntegerGru]:
     """Return GRUs on top of each other; each but the first reads the state of the one below.
 
@@ -492,9 +488,9 @@ def quantize_grus(
 class LayerScales:
     """What the integers of a network stand for."""
 
-    layers: Mapping[str, tuple[int, Exponents]]
+    layers: Mapping[str, tuple[int, IntArray]]
     """Node -> the layer whose output it gives, counted from 1, and [M] e: value * 2**-e."""
-    head: Exponents
+    head: IntArray
     """[K]: a sum stands for sum * 2**-e."""
 
 
@@ -523,7 +519,7 @@ def group_layers(network: FloatNetwork) -> list[list[int]]:
 def append_network(
     lowering: Lowering,
     network: FloatNetwork,
-    feature_exponents: Exponents,
+    feature_exponents: IntArray,
     weights: str,
     window: int,
 ) -> LayerScales:
@@ -541,7 +537,7 @@ def append_network(
             layer reads what another recurrent one does not hand up directly.
     """
     names, exponents = {0: "features"}, {0: feature_exponents}
-    found: dict[str, tuple[int, Exponents]] = {}
+    found: dict[str, tuple[int, IntArray]] = {}
     for group in group_layers(network):
         if window:
             _refuse_split_window(network, group)
@@ -564,7 +560,7 @@ def _append_join(
     lowering: Lowering,
     reads: Sequence[int],
     names: Mapping[int, str],
-    exponents: Mapping[int, Exponents],
+    exponents: Mapping[int, IntArray],
 ) -> str:
     """Return the node that gives all of some sources; a join is added where it needs one."""
     if len(reads) == 1:
@@ -592,10 +588,10 @@ def _make_node(
     network: FloatNetwork,
     group: Sequence[int],
     source: str,
-    given: Exponents,
+    given: IntArray,
     weights: str,
     window: int,
-) -> tuple[IntegerNode, Exponents]:
+) -> tuple[IntegerNode, IntArray]:
     """Return the node of a group of layers, and the exponents of its int16 copies."""
     copied = _is_layer(lowering, source)
     cells = [network.layers[k - 1].cell for k in group]

@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
 from tests.bound.cases import Case
 
@@ -29,7 +28,6 @@ from zerodrift.train.scores import Trained
 from zerodrift.train.training import train_together
 from zerodrift_lab.twin.six_axis import draw_sensor, load_protocol, record, to_config, to_dataset
 
-Array = NDArray[np.float64]
 SIZES = (8, 12, 16)
 TESTS = ("chamber", "heating", "cooling", "walking")
 CYCLES = 4

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_kernels import draw_temperature
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
@@ -27,8 +28,6 @@ from zerodrift.operations.operation import list_nodes
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import graph_inputs, name_signals, plan_signals, read_signals
 from zerodrift.physics.terms import build_features, start_term
-
-Array = NDArray[np.float64]
 
 OUTPUTS, FULL_SCALE = ("Fz", "Mx"), (2000.0, 14.0)
 LSB_PER_UNIT = (1000, 100_000)

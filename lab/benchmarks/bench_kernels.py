@@ -11,6 +11,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
@@ -23,7 +24,6 @@ from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31, tanh_nodes, tanh_q30
 
-Array = NDArray[np.float64]
 INPUTS, HIDDEN, OUTPUTS = 4, 16, 6
 LSB_DEGC = 2.0**-7
 LSB_PER_UNIT = 10**6

@@ -20,6 +20,7 @@ from benchmarks.bench_kernels import (
     draw_slow_compensator,
     draw_temperature,
 )
+from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.c_runtime.emulator import EmulatedModel
 from zerodrift.c_runtime.footprint import measure_footprint
@@ -33,7 +34,6 @@ from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import evaluate
 from zerodrift.operations.lstm.cell import FloatLstm
 
-Array = NDArray[np.float64]
 LSTM_MARK_PCT = 0.15
 """RMS of int16 against float over 1e5 steps, of the output's RMS about its mean."""
 

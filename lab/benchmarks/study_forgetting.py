@@ -23,9 +23,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_contracting import SIZES, make_project
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import describe_compensator
 from zerodrift.export.float_model import FloatModel
@@ -34,7 +34,6 @@ from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.training import train_together
 
-Array = NDArray[np.float64]
 HOLDS = (5, 20, 80, 300, 1200, 6000)
 """Steps at each end, before it goes on to the other."""
 STEPS = 3400

@@ -12,13 +12,13 @@ from tests.golden.model_factory import Draw, Shape, draw_float_model
 from tests.train.one_at_a_time import Cell, step_gru
 from torch import Tensor
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.export.fine_tune import build_integer_network
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.export.quantize import choose_feature_exponents, quantize_graph
 from zerodrift.export.quantize_layers import quantize_gru, quantize_grus
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.integer_network import IntegerGruNetwork, Tuning, fine_tune
 from zerodrift.train.onnx_export import build_onnx

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array, Mask
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run, predict_all
@@ -28,7 +28,7 @@ from zerodrift.export.integer_model import (
 )
 from zerodrift.export.quantize import choose_feature_exponents, quantize_graph
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.backend import NumpyOperations
 from zerodrift.operations.input import IntegerInput
 from zerodrift.operations.load import IntegerLoad
