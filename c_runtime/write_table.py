@@ -6,8 +6,8 @@ The identity is a hash of the runtime's text: `make golden` after every change o
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.c_runtime.compilers import INCLUDE_DIRECTORY, RUNTIME_FILES
 from zerodrift.codegen.generate import make_environment
 from zerodrift.codegen.identity import NO_IDENTITY, identify_runtime
@@ -19,7 +19,7 @@ GENERATED = ("zd_tanh_table.h", "zd_exp2.h")
 """Headers made of a template of the same name in codegen/templates."""
 
 
-def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def compute_lines() -> tuple[IntArray, IntArray]:
     """Return offset [512] in Q0.30 and slope [512] in Q0.19 of every line between two nodes.
 
     With p = 2**11 i + f, for line i counted from the middle and 0 <= f < 2**11,
@@ -39,7 +39,7 @@ def compute_lines() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return offset, slope
 
 
-def compute_half() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def compute_half() -> tuple[IntArray, IntArray]:
     """Return offset in Q0.30 and slope in Q0.19 of the lines from 0 up to the first level one.
 
     tanh is odd: at -t the slope is that of t and the offset its negative.

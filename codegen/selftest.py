@@ -3,8 +3,8 @@
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
 from zerodrift.operations.node import ChannelNode
@@ -13,7 +13,7 @@ SELFTEST_STEPS = 64
 SELFTEST_SEED = 0x5EED1E57
 
 
-def draw_codes(low: list[int], high: list[int], *, timed: bool = False) -> NDArray[np.int64]:
+def draw_codes(low: list[int], high: list[int], *, timed: bool = False) -> IntArray:
     """Return the self-test's input codes [1, steps + 1, C]; the first row is where it settles.
 
     A 32-bit linear congruential generator (Numerical Recipes: 1664525, 1013904223) gives one value

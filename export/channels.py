@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.column_config import ConversionConfig, junction_formula, sum_formula
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
@@ -25,7 +25,7 @@ from zerodrift.dataset.conversions import convert, find_span, measure_slope
 from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import LOAD
 from zerodrift.export.integer_model import Channel, OutputFormat
-from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
 from zerodrift.operations.conversion import MOST_LINES, IntegerConversion
 from zerodrift.operations.operation import Node, list_nodes
 

@@ -6,9 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import LONGEST_WINDOW, Config
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.dataset.chip_codes import (
@@ -23,7 +22,7 @@ from zerodrift.dataset.runs import Dataset, Run, predict_along
 from zerodrift.export.channels import list_channels
 from zerodrift.export.encoding import encode_channel, find_held
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import (
     Channel,
     IntegerModel,
@@ -36,7 +35,6 @@ from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.backend import GraphOperations, evaluate
-from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
 from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.times import count_us
@@ -157,15 +155,14 @@ def _describe_physics(
     return describe_compensator(alone, config, runs)
 
 
-def _read_network(
-    compensator: "Compensator",
-) -> FloatNetwork | FloatLayeredNetwork | FloatFeedForward | None:
+def _read_network(compensator: "Compensator") -> FloatNetwork | None:
     if compensator.network is None:
         return None
     if compensator.is_recurrent:
         network = read_imported_bytes(compensator.network, "the trained network").network
         return replace(network, trained=OnnxNetwork(compensator.network))
-    return compensator.feed_forward
+    layers = compensator.feed_forward
+    return FloatNetwork.stack(layers.dense, layers.head, layers.head_bias)
 
 
 def list_outputs(config: Config) -> tuple[OutputFormat, ...]:
@@ -210,7 +207,7 @@ def encode_inputs(model: FloatModel | IntegerModel, run: Run) -> CodeArray:
 
 def encode_junction(
     channels: Sequence[Channel], index: int, run: Run, outputs: Sequence[str]
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Return the codes [n] of the channel that measures a cold junction, converted if they are."""
     channel = channels[index]
     codes, _ = encode_channel(channel, read_source(outputs, channel.source, run))
@@ -218,7 +215,7 @@ def encode_junction(
     return given if channel.conversion is None else channel.conversion.convert(given)
 
 
-def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> NDArray[np.int64]:
+def encode_quantities(model: FloatModel | IntegerModel, run: Run) -> IntArray:
     """Return the channels' own codes [n, C] of a run, into which raw ones are converted."""
     codes = encode_inputs(model, run)[:, : len(model.channels)]
     return convert_codes(model.channels, codes)
@@ -287,9 +284,7 @@ def calibrate(model: FloatModel, runs: Sequence[Run]) -> Calibration:
     )
 
 
-def find_flagged(
-    channel: Channel, columns: Sequence[NDArray[np.int64]], spans: float
-) -> tuple[int, int]:
+def find_flagged(channel: Channel, columns: Sequence[IntArray], spans: float) -> tuple[int, int]:
     """Return the codes beyond which an input is flagged; there is one beyond on either side."""
     low, high = min(int(c.min()) for c in columns), max(int(c.max()) for c in columns)
     margin = round(spans * (high - low)) + 1

@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array, Mask
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.dataset.chip_codes import RawRange, find_code
 from zerodrift.dataset.conversions import convert
 from zerodrift.export.integer_model import Channel, IntegerModel, order_conversions
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 
 
 def find_held(channel: Channel) -> tuple[float, float]:
@@ -80,7 +79,7 @@ def encode_values(model: IntegerModel, values: Array) -> tuple[list[int], CodeAr
 
 
 def _encode_channel(
-    channel: Channel, values: Array, junction: NDArray[np.int64] | None
+    channel: Channel, values: Array, junction: IntArray | None
 ) -> tuple[Array, int]:
     """Return codes [n], raw codes where the chip takes them, and how many values lie beyond."""
     codes, beyond = encode_channel(channel, values, junction)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.extras import TRAIN, require
@@ -20,11 +20,17 @@ from zerodrift.export.compose import calibrate, encode_inputs
 from zerodrift.export.float_model import FloatModel
 from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
-from zerodrift.export.quantize_layers import quantize_layers, quantize_state_read_out
+from zerodrift.export.quantize import (
+    FEATURE_HEADROOM,
+    Quantized,
+    choose_feature_exponents,
+    quantize_graph,
+)
+from zerodrift.export.quantize_layers import quantize_grus
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
+from zerodrift.operations.dense import FloatDense, IntegerDense
 from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.operations.head import IntegerHead
 from zerodrift.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from zerodrift.train.onnx_export import OnnxNetwork, build_onnx
 from zerodrift.train.sequences import Sequence32
@@ -57,25 +63,22 @@ def tune_for_int8(
     from zerodrift.train.integer_network import fine_tune
 
     network = model.network
-    assert isinstance(network, FloatNetwork)
+    assert network is not None
     calibration = calibrate(model, runs)
     targets = [model.predict_network(run) for run in runs]
-    exponents = np.array(
-        [
-            min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
-            for x in calibration.feature_max
-        ]
-    )
-    rounded = quantize(model, calibration, "int8")
+    rounded = quantize_graph(model, calibration, "int8")
     wanted = [target - network.head_bias for target in targets]
     scale = np.sqrt(np.mean(np.concatenate(wanted) ** 2, axis=0))
     scale[scale == 0.0] = 1.0
     sequences = [
         Sequence32(run.group, counts.astype(np.float32), (target / scale).astype(np.float32))
-        for run, counts, target in zip(runs, compute_features(rounded, runs), wanted, strict=True)
+        for run, counts, target in zip(
+            runs, compute_features(rounded.model, runs), wanted, strict=True
+        )
     ]
     memory = model.window or "stream"
-    integer = build_integer_network(network, exponents, scale)
+    exponents = choose_feature_exponents(calibration)
+    integer = build_integer_network(network, rounded, exponents, scale)
     tuned = fine_tune(integer, sequences, memory, Tuning(), report)
     return replace_layers(model, tuned.layers), tuned
 
@@ -83,8 +86,8 @@ def tune_for_int8(
 def replace_layers(model: FloatModel, layers: Sequence[FloatGru]) -> FloatModel:
     """Return the float model with other recurrent layers."""
     network = model.network
-    assert isinstance(network, FloatNetwork)
-    other = network.with_layers(layers)
+    assert network is not None
+    other = network.replace_grus(layers)
     if network.trained is not None:
         names = [output.name for output in model.outputs]
         content = build_onnx(layers[0], network.head, network.head_bias, names)
@@ -93,25 +96,27 @@ def replace_layers(model: FloatModel, layers: Sequence[FloatGru]) -> FloatModel:
 
 
 def build_integer_network(
-    network: FloatNetwork, exponents: IntArray, scale: Array
+    network: FloatNetwork, rounded: Quantized, exponents: IntArray, scale: Array
 ) -> "IntegerGruNetwork":
     """Return a float network as one that trains in the chip's arithmetic.
 
     Args:
         network: the trained network.
+        rounded: its integer model, whose dense layers and head are held.
         exponents: [I] f with feature = count * 2**-f.
         scale: [K] by which its answers are divided.
     """
     from zerodrift.train.integer_network import IntegerGruNetwork, TorchIntegerHead
 
-    read_out = quantize_state_read_out(network)
+    assert rounded.scales is not None
+    (head,) = (node for node in rounded.model.nodes if isinstance(node, IntegerHead))
     return IntegerGruNetwork(
-        network.layers,
-        lambda layers: quantize_layers(layers, exponents, "int8"),
+        network.grus,
+        lambda grus: quantize_grus(grus, exponents, "int8"),
         2.0 ** -exponents.astype(np.float64),
-        TorchIntegerHead(read_out.head.weights, read_out.head_exponents),
+        TorchIntegerHead(head.weights, rounded.scales.head),
         scale,
-        read_out.dense,
+        [node for node in rounded.model.nodes if isinstance(node, IntegerDense)],
     )
 
 
@@ -143,11 +148,11 @@ def load_or_tune(
         progress: called with a description of each stage of the work.
     """
     network = model.network
-    if config.weights != "int8" or not isinstance(network, FloatNetwork):
+    if config.weights != "int8" or network is None or not network.grus:
         return model
     path = config.build_directory / FOLDER / LAYERS
     mark = _mark(model, network, runs)
-    resets = [layer.reset for layer in network.layers]
+    resets = [gru.reset for gru in network.grus]
     try:
         kept = load_checkpoint(path)
     except InputError:
@@ -186,9 +191,10 @@ def _mark(model: FloatModel, network: FloatNetwork, runs: Sequence[Run]) -> str:
     assert model.tap_mean is not None and model.whitening is not None
     recipe = ", ".join(f"{name}={value!r}" for name, value in asdict(Tuning()).items())
     digest = hashlib.sha256(f"Settings({recipe}) {FEATURE_HEADROOM} {model.window}".encode())
-    digest.update(f"{model.taps} {[layer.reset for layer in network.layers]}".encode())
-    arrays: list[NDArray[np.generic]] = [a for g in network.layers for a in (g.w_x, g.w_h, g.bias)]
-    arrays += [a for d in network.dense for a in (d.weight, d.bias)]
+    digest.update(f"{model.taps} {[gru.reset for gru in network.grus]}".encode())
+    arrays: list[NDArray[np.generic]] = [a for g in network.grus for a in (g.w_x, g.w_h, g.bias)]
+    dense = (n.cell for n in network.layers if isinstance(n.cell, FloatDense))
+    arrays += [a for d in dense for a in (d.weight, d.bias)]
     arrays += [network.head, network.head_bias, model.tap_mean, model.whitening]
     arrays += [encode_inputs(model, run) for run in runs]
     for array in arrays:

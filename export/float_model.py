@@ -8,16 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.chip_codes import TEMPERATURE
 from zerodrift.dataset.runs import Run, predict_all, predict_along
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
 from zerodrift.operations.backend import evaluate
-from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.physics.signals import SignalPlan, graph_inputs, read_signals
 from zerodrift.physics.summary import ModelSummary
@@ -89,7 +87,7 @@ class FloatModel:
     """[I]."""
     whitening: Array | None = None
     """[I', I]: the network's input is whitening @ (taps - mean)."""
-    network: FloatNetwork | FloatLayeredNetwork | FloatFeedForward | None = None
+    network: FloatNetwork | None = None
     window: int = 0
     """0: the network's state is carried from sample to sample."""
     feature_names: tuple[str, ...] = ()
@@ -165,7 +163,7 @@ class FloatModel:
         """Return the network's input [n, I'] of a run."""
         return self._whiten(self._compute_taps(run))
 
-    def find_usable(self, run: Run) -> NDArray[np.bool_]:
+    def find_usable(self, run: Run) -> Mask:
         """Return [n, K] which samples show the drift."""
         usable = np.ones(run.measured.shape, dtype=np.bool_)
         if self.set_aside:
@@ -189,10 +187,7 @@ class FloatModel:
     def _run_network(self, taps: Array) -> Array:
         """Return the network's outputs [n, K] for taps [n, I] that begin at rest."""
         assert self.network is not None
-        x = self._whiten(taps)
-        if isinstance(self.network, FloatFeedForward):
-            return self.network.run(x)
-        return self.network.answer(x, self.window)
+        return self.network.answer(self._whiten(taps), self.window)
 
 
 @dataclass(frozen=True)

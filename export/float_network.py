@@ -1,21 +1,18 @@
-"""Networks in float64, whoever trained them: layers in a row, or any that read others."""
+"""A network in float64, whoever trained it: layers that read others, and a linear head."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.layer_norm import FloatLayerNorm
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.train.onnx_export import OnnxNetwork
 
-# A network in float64 whose layers may read several others: recurrent and dense ones, a head.
-
-STEPS_AT_ONCE = 10_000
+STEPS_AT_ONCE = 2_000
 
 
 Recurrent = FloatGru | FloatLstm
@@ -31,6 +28,13 @@ def width_of(cell: Cell) -> int:
     if isinstance(cell, Still):
         return int(cell.bias.size)
     return int(cell.w_h.shape[1])
+
+
+def inputs_of(cell: Cell) -> int:
+    """Return how many numbers a layer reads."""
+    if isinstance(cell, FloatLayerNorm):
+        return width_of(cell)
+    return int((cell.weight if isinstance(cell, FloatDense) else cell.w_x).shape[-1])
 
 
 def carried_by(cell: Recurrent) -> int:
@@ -54,7 +58,7 @@ class FloatLayer:
 
 
 @dataclass(frozen=True)
-class FloatLayeredNetwork:
+class FloatNetwork:
     """Layers, each on some of those before it, and outputs = head x + head_bias."""
 
     inputs: int
@@ -69,9 +73,32 @@ class FloatLayeredNetwork:
     trained: OnnxNetwork | None = None
     """The file that training left, where it is one of ours: its answers are asked of it."""
 
-    def widths(self, reads: Sequence[int]) -> list[int]:
-        """Return how many numbers each of some sources gives."""
-        return [width_of(self.layers[k - 1].cell) if k else self.inputs for k in reads]
+    @classmethod
+    def stack(cls, cells: Sequence[Cell], head: Array, head_bias: Array) -> "FloatNetwork":
+        """Return a network of layers on top of each other, the first on the features."""
+        layers = tuple(FloatLayer(cell, (k,)) for k, cell in enumerate(cells))
+        return cls(inputs_of(cells[0]), layers, (len(layers),), head, head_bias)
+
+    @property
+    def grus(self) -> tuple[FloatGru, ...]:
+        """The recurrent layers from the bottom up, where it is a `chain` that begins with GRUs."""
+        cells = (layer.cell for layer in self.layers if self.is_chain)
+        return tuple(cell for cell in cells if isinstance(cell, FloatGru))
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether it is GRUs, if any, below dense layers, if any, below the head."""
+        straight = [*(n.reads for n in self.layers), self.reads] == [
+            (k,) for k in range(len(self.layers) + 1)
+        ]
+        kinds = [type(layer.cell) for layer in self.layers]
+        grus = kinds.count(FloatGru)
+        return straight and kinds == [FloatGru] * grus + [FloatDense] * (len(kinds) - grus)
+
+    def replace_grus(self, grus: Sequence[FloatGru]) -> "FloatNetwork":
+        """Return the network with other recurrent layers in the place of `grus`."""
+        cells = (*grus, *(layer.cell for layer in self.layers[len(grus) :]))
+        return FloatNetwork.stack(cells, self.head, self.head_bias)
 
     def run(self, features: Array, states: Sequence[Array | None] | None = None) -> Array:
         """Return the outputs [B, T, K] for features [B, T, I], from states or else from zero.
@@ -133,11 +160,10 @@ class FloatLayeredNetwork:
         """
         if not window and not known:
             return np.asarray(self.run(features[None], self.settle(features[:1]))[0])
-        found: dict[int, Array] = {0: features}
-        for k, layer in enumerate(self.layers, 1):
-            if k in known:
-                found[k] = known[k]
-            elif not layer.recurrent:
+        found: dict[int, Array] = {0: features, **known}
+        for k in self._list_below(self.reads, found):
+            layer = self.layers[k - 1]
+            if not layer.recurrent:
                 given = gather([found[i] for i in layer.reads])
                 found[k], _ = run_layer(layer.cell, given[None], None)
                 found[k] = found[k][0]
@@ -150,9 +176,15 @@ class FloatLayeredNetwork:
                 found[k] = y[0]
         return np.asarray(gather([found[i] for i in self.reads]) @ self.head.T + self.head_bias)
 
-    def run_windows(self, features: Array, length: int) -> Array:
-        """Return the outputs [n, K] for features [n, I], each from zero over the last `length`."""
-        return self.answer(features, length)
+    def _list_below(self, reads: Sequence[int], known: Mapping[int, Array]) -> list[int]:
+        """Return the layers that some sources need, the lowest first, those known apart."""
+        needed, left = set[int](), list(reads)
+        while left:
+            k = left.pop()
+            if k not in known and k not in needed:
+                needed.add(k)
+                left += self.layers[k - 1].reads
+        return sorted(needed)
 
     def _run_windows(self, k: int, found: Mapping[int, Array], window: int) -> Array:
         """Return what a recurrent layer gives at the end of every sample's window [n, M]."""
@@ -164,7 +196,7 @@ class FloatLayeredNetwork:
             parts.append(self._walk(k, found, samples)[:, -1])
         return np.concatenate(parts)
 
-    def _walk(self, k: int, found: Mapping[int, Array], samples: NDArray[np.int64]) -> Array:
+    def _walk(self, k: int, found: Mapping[int, Array], samples: IntArray) -> Array:
         """Return what a layer gives over windows of samples [n, N] from zero, [n, N, M]."""
         if not k or not self.layers[k - 1].recurrent:
             return found[k][samples]
@@ -173,7 +205,7 @@ class FloatLayeredNetwork:
         given = gather([self._walk(i, found, samples) for i in layer.reads])
         return run_layer(layer.cell, given, np.zeros((len(samples), carried_by(layer.cell))))[0]
 
-    def rescale_inputs(self, center: Array, scale: Array) -> "FloatLayeredNetwork":
+    def rescale_inputs(self, center: Array, scale: Array) -> "FloatNetwork":
         """Return the same network for features (x - center) / scale in place of x."""
         layers = tuple(
             replace(n, cell=_rescale(n.cell, center, scale)) if 0 in n.reads else n
@@ -231,123 +263,3 @@ def _rescale(cell: Cell, center: Array, scale: Array) -> Cell:
     bias[: len(w_x)] += w_x[..., :count] @ center
     w_x[..., :count] *= scale
     return replace(cell, w_x=w_x, bias=bias)
-
-
-# A recurrent network in float64, whoever trained it: GRUs, dense layers, a linear head.
-
-
-@dataclass(frozen=True)
-class FloatNetwork:
-    """GRUs on top of each other, dense layers, and outputs = head x + head_bias."""
-
-    gru: FloatGru
-    """The layer that reads the features."""
-    head: Array
-    """[K, N] in output units."""
-    head_bias: Array
-    """[K] in output units."""
-    upper: tuple[FloatGru, ...] = ()
-    """Further layers, each on the state of the one before it."""
-    dense: tuple[FloatDense, ...] = ()
-    """Between the topmost state and the head."""
-    trained: OnnxNetwork | None = None
-    """The file that training left, where it is one of ours: its answers are asked of it."""
-
-    @property
-    def inputs(self) -> int:
-        """Number of features I."""
-        return int(self.gru.w_x.shape[2])
-
-    def list_arrays(self) -> list[tuple[str, Array]]:
-        """Return all weights and biases by name."""
-        named = [("head", self.head), ("head bias", self.head_bias)]
-        for k, gru in enumerate(self.layers):
-            named += [(f"GRU {k} {name}", getattr(gru, name)) for name in ("w_x", "w_h", "bias")]
-        for k, layer in enumerate(self.dense):
-            named.append((f"dense layer {k}", np.column_stack([layer.weight, layer.bias])))
-        return named
-
-    @property
-    def layers(self) -> tuple[FloatGru, ...]:
-        """All recurrent layers from the bottom up."""
-        return (self.gru, *self.upper)
-
-    def with_layers(self, layers: Sequence[FloatGru]) -> "FloatNetwork":
-        """Return the network with other recurrent layers."""
-        return replace(self, gru=layers[0], upper=tuple(layers[1:]), trained=None)
-
-    def start(self, batch: int) -> list[Array]:
-        """Return states of zero, [B, H] each."""
-        return [np.zeros((batch, layer.w_h.shape[1])) for layer in self.layers]
-
-    def settle(self, x: Array) -> list[Array]:
-        """Return the states at rest under constant features x [B, I]."""
-        states = []
-        for layer in self.layers:
-            x = layer.settle(x)
-            states.append(x)
-        return states
-
-    def step(self, x: Array, states: Sequence[Array]) -> list[Array]:
-        """Return the states after features x [B, I]."""
-        after = []
-        for layer, state in zip(self.layers, states, strict=True):
-            x = layer.step(x, state)
-            after.append(x)
-        return after
-
-    def read_out(self, top: Array) -> Array:
-        """Return the outputs [..., K] for the topmost state [..., H]."""
-        for layer in self.dense:
-            top = layer.step(top)
-        return np.asarray(top @ self.head.T + self.head_bias)
-
-    def run(self, features: Array, states: Sequence[Array] | None = None) -> Array:
-        """Return the outputs [B, T, K] for features [B, T, I], from states or else from zero."""
-        now = list(states) if states is not None else self.start(features.shape[0])
-        parts = []
-        for first in range(0, features.shape[1], STEPS_AT_ONCE):  # bounds the memory
-            x = features[:, first : first + STEPS_AT_ONCE]
-            for i, layer in enumerate(self.layers):
-                x = layer.run(x, now[i])
-                now[i] = x[:, -1]
-            parts.append(self.read_out(x))
-        return np.concatenate(parts, axis=1)
-
-    def answer(self, features: Array, window: int) -> Array:
-        """Return the outputs [n, K] for features [n, I] of a run that starts at rest.
-
-        Args:
-            features: of the whole run.
-            window: samples that each answer is from; 0 carries the state from sample to sample.
-        """
-        if self.trained is not None:
-            return self.trained.run(features, window)
-        if window:
-            return self.run_windows(features, window)
-        return np.asarray(self.run(features[None], self.settle(features[:1]))[0])
-
-    def run_windows(self, features: Array, length: int) -> Array:
-        """Return the outputs [n, K] for features [n, I], each from zero over the last `length`.
-
-        Before the first sample the features are taken to have been what they are there.
-        """
-        padded = np.concatenate([np.repeat(features[:1], length - 1, axis=0), features])
-        windows = np.lib.stride_tricks.sliding_window_view(padded, length, axis=0)  # [n, I, N]
-        now = self.start(len(features))
-        for t in range(length):
-            now = self.step(windows[:, :, t], now)
-        return self.read_out(now[-1])
-
-    def rescale_inputs(self, center: Array, scale: Array) -> "FloatNetwork":
-        """Return the same network for features (x - center) / scale in place of x."""
-        gru = self.gru
-        bias = gru.bias.copy()
-        bias[:3] += gru.w_x @ center
-        return FloatNetwork(
-            FloatGru(gru.w_x * scale, gru.w_h, bias, gru.reset),
-            self.head,
-            self.head_bias,
-            self.upper,
-            self.dense,
-        )

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.files import write_whole
 from zerodrift.base.records import OPTIONAL, Json, to_dict
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.conversion import IntegerConversion
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.gru import IntegerGruLayer

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.gru.onnx import to_onnx_gates as gru_to_onnx
 from zerodrift.operations.lstm.cell import GATES, FloatLstm
@@ -203,7 +202,7 @@ def put_back(graph: onnx.GraphProto, part: CellPart, found: FoundCell, opset: in
     nodes: list[onnx.NodeProto] = []
     constants: list[onnx.TensorProto] = []
 
-    def constant(what: str, value: Array | NDArray[np.int64]) -> str:
+    def constant(what: str, value: Array | IntArray) -> str:
         constants.append(numpy_helper.from_array(value, f"{mark}/{what}"))
         return f"{mark}/{what}"
 

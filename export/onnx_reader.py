@@ -5,10 +5,9 @@ operators, is what reaches the chip. The graph is walked once from its inputs to
 values on the way are those of `zerodrift.export.onnx_values`.
 """
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, external_data_helper, numpy_helper
 
 from zerodrift.base.errors import InputError, nearest
-from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatLayer, FloatNetwork
 from zerodrift.export.importers import import_onnx
 from zerodrift.export.onnx_cells import restore_cells
 from zerodrift.export.onnx_operators import OPERATORS, OUTSIDE, REMEDIES, SUPPORTED, combine
@@ -36,34 +35,14 @@ from zerodrift.export.onnx_values import (
     Value,
 )
 from zerodrift.operations.dense import FloatDense
-from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.layer_norm import FloatLayerNorm
 
 # Builds a network in float64 from the values found in a float ONNX graph.
 
 
-def build_network(signal: OnnxSignal) -> FloatNetwork | FloatLayeredNetwork:
-    """Return the network of a graph's answer: GRUs below dense layers where it is no more."""
+def build_network(signal: OnnxSignal) -> FloatNetwork:
+    """Return the network of a graph's answer."""
     chain = signal.source.chain()
-    layers = [source.layer for source in chain[1:]]
-    grus = [layer for layer in layers if isinstance(layer, FloatGru)]
-    dense = [layer for layer in layers if isinstance(layer, FloatDense)]
-    straight = (
-        all(above.below is below for below, above in itertools.pairwise(chain))
-        and not signal.source.parts
-    )
-    if straight and grus and layers == [*grus, *dense]:
-        return FloatNetwork(
-            gru=grus[0],
-            head=signal.matrix,
-            head_bias=signal.bias,
-            upper=tuple(grus[1:]),
-            dense=tuple(dense),
-        )
-    return _build_layered(signal, chain)
-
-
-def _build_layered(signal: OnnxSignal, chain: list[OnnxSource]) -> FloatLayeredNetwork:
     inputs = next(source for source in chain if source.layer is None)
     layers = [source for source in chain if source.layer is not None]
     places = {id(inputs): 0} | {id(source): k for k, source in enumerate(layers, 1)}
@@ -81,32 +60,13 @@ def _build_layered(signal: OnnxSignal, chain: list[OnnxSource]) -> FloatLayeredN
         assert source.layer is not None and source.below is not None
         reads, columns = order(source.below)
         layer = source.layer
-        if isinstance(layer, FloatLayerNorm):
-            found.append(FloatLayer(layer, reads))
-        elif isinstance(layer, FloatDense):
-            found.append(
-                FloatLayer(
-                    FloatDense(
-                        layer.weight[:, columns],
-                        layer.bias,
-                        layer.activation,
-                        layer.low,
-                        layer.high,
-                    ),
-                    reads,
-                )
-            )
-        elif isinstance(layer, FloatGru):
-            w_x = layer.w_x[:, :, columns]
-            found.append(FloatLayer(FloatGru(w_x, layer.w_h, layer.bias, layer.reset), reads))
-        else:
-            found.append(
-                FloatLayer(type(layer)(layer.w_x[:, :, columns], layer.w_h, layer.bias), reads)
-            )
+        if isinstance(layer, FloatDense):
+            layer = replace(layer, weight=layer.weight[:, columns])
+        elif not isinstance(layer, FloatLayerNorm):
+            layer = replace(layer, w_x=layer.w_x[:, :, columns])
+        found.append(FloatLayer(layer, reads))
     reads, columns = order(signal.source)
-    return FloatLayeredNetwork(
-        inputs.width, tuple(found), reads, signal.matrix[:, columns], signal.bias
-    )
+    return FloatNetwork(inputs.width, tuple(found), reads, signal.matrix[:, columns], signal.bias)
 
 
 # Completes a float ONNX graph: weights in files beside it, and missing shapes.
@@ -264,16 +224,6 @@ def fold_constants(
         raise Unsupported(f"it cannot be computed from its constants ({error})") from error
 
 
-__all__ = [
-    "LARGEST_FILE",
-    "FloatNetwork",
-    "ImportedNetwork",
-    "read_imported",
-    "read_network",
-    "read_network_bytes",
-]
-
-
 # Reads a recurrent network from a float ONNX file, whoever wrote it.
 
 OLDEST_OPSET = 7
@@ -285,7 +235,7 @@ MOST_NODES = 100_000
 class ImportedNetwork:
     """A network from an ONNX file, and how the file means it to be run."""
 
-    network: FloatNetwork | FloatLayeredNetwork
+    network: FloatNetwork
     """On the graph's input as it is: any normalisation in the graph is folded into the weights."""
     steps: int
     """Samples of the sequence that the graph is made for; 0 for any number."""
@@ -297,28 +247,9 @@ class ImportedNetwork:
     output_name: str
 
     @property
-    def plain(self) -> FloatNetwork:
-        """The network, if it is GRUs on top of each other, dense layers and a head.
-
-        Raises:
-            InputError: it is not.
-        """
-        if isinstance(self.network, FloatNetwork):
-            return self.network
-        raise InputError(
-            f"output '{self.output_name}': the network is no stack of GRUs below dense layers."
-            " Read it by read_imported."
-        )
-
-    @property
     def window(self) -> int:
         """The window's length that the graph itself implies; 0 for a state that is carried on."""
         return self.steps if self.last_only and self.initial_state != "input" else 0
-
-
-def read_network(path: Path) -> FloatNetwork:
-    """Return the network of an ONNX file of GRUs; see `read_imported`."""
-    return read_imported(path).plain
 
 
 def read_imported(path: Path, output: str | None = None) -> ImportedNetwork:
@@ -348,11 +279,6 @@ def read_imported(path: Path, output: str | None = None) -> ImportedNetwork:
             " the network is to fit a microcontroller. Export the network alone."
         )
     return _read_graph(_parse(content, str(path), path.parent), str(path), output)
-
-
-def read_network_bytes(content: bytes, where: str) -> FloatNetwork:
-    """Return the network of an ONNX file's content, of GRUs; see `read_imported`."""
-    return read_imported_bytes(content, where).plain
 
 
 def read_imported_bytes(content: bytes, where: str, output: str | None = None) -> ImportedNetwork:
@@ -594,7 +520,7 @@ def _feeds_another(signal: OnnxSignal, found: Mapping[str, OnnxSignal]) -> bool:
     return any(set(signal.source.singles) <= set(s.source.chain()) for s in others)
 
 
-def _refuse_not_finite(network: FloatNetwork | FloatLayeredNetwork, where: str) -> None:
+def _refuse_not_finite(network: FloatNetwork, where: str) -> None:
     """Refuse weights that are NaN or infinite."""
     for name, array in network.list_arrays():
         if not np.isfinite(array).all():

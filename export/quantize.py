@@ -4,20 +4,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.export.lowering import Lowering
-from zerodrift.export.quantize_layers import LayeredScales, ReadOut, append_layered, append_network
+from zerodrift.export.quantize_layers import LayerScales, append_network
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, INT32_MIN, choose_exponent
-from zerodrift.operations.dense import COPY_BITS, FloatDense, FloatFeedForward
+from zerodrift.operations.dense import COPY_BITS, FloatDense
 from zerodrift.operations.drift import IntegerDrift
 from zerodrift.operations.features import IntegerFeatures
 from zerodrift.operations.formats import COEFFICIENT_LIMIT
+from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.operation import Node
@@ -30,7 +30,7 @@ STATE_BITS = 30
 
 
 def describe_features(
-    taps: Sequence[Signal], whitening: Array, tap_mean: Array, exponents: NDArray[np.int64]
+    taps: Sequence[Signal], whitening: Array, tap_mean: Array, exponents: IntArray
 ) -> list[Signal]:
     """Return the features, which stand for whitening @ (taps - mean), limited to int16.
 
@@ -49,30 +49,47 @@ def describe_features(
 
 
 def describe_network(
-    network: FloatNetwork | FloatFeedForward, features: Sequence[Signal], read_out: ReadOut
+    network: FloatNetwork,
+    scales: LayerScales,
+    nodes: Sequence[IntegerNode],
+    features: Sequence[Signal],
 ) -> list[Signal]:
-    """Return the head's signals [K] of a model with a network, without the head's bias."""
-    below = list(features)
-    if isinstance(network, FloatNetwork):
-        below = _describe_states(network, features)
-    for layer, node, exponents in zip(
-        network.dense, read_out.dense, read_out.dense_exponents, strict=True
-    ):
-        below = _describe_dense(layer, node.name, below, exponents)
+    """Return the head's signals [K] of a model with a network, without the head's bias.
+
+    Where it is neither a chain nor one LSTM over the features, no more is said of what the head
+    reads than that it carries errors on: of each state, where it is the states of one recurrent
+    layer.
+    """
+    cells, gains = [layer.cell for layer in network.layers], network.head.tolist()
+    lone = cells[0] if len(cells) == 1 and network.reads == (1,) else None
+    if network.is_chain:
+        below = _describe_states(network.grus, features)
+        named = {layer: (name, own) for name, (layer, own) in scales.layers.items()}
+        for k, cell in enumerate(cells, 1):
+            if isinstance(cell, FloatDense):
+                below = _describe_dense(cell, *named[k], below)
+    elif isinstance(lone, FloatLstm):
+        below = _describe_lstm("lstm", lone, features)
+    else:
+        read = next(node for node in nodes if node.name in nodes[-1].inputs)
+        recurrent = isinstance(read, IntegerRecurrent)
+        gains = gains if recurrent else [[1.0]] * len(gains)
+        below = [
+            Signal(read.name, 2.0**-STATE_BITS, index=j).standing_for("recurrent", features)
+            for j in range(read.width if recurrent else 1)
+        ]
     heads = []
-    for k, row in enumerate(network.head.tolist()):
-        head = Signal("head", 2.0 ** -int(read_out.head_exponents[k]), index=k)
+    for k, row in enumerate(gains):
+        head = Signal("head", 2.0 ** -int(scales.head[k]), index=k)
         heads.append(head.standing_for("linear", below, *row))
     return heads
 
 
-def _describe_states(network: FloatNetwork, features: Sequence[Signal]) -> list[Signal]:
+def _describe_states(grus: Sequence[FloatGru], features: Sequence[Signal]) -> list[Signal]:
     """Return the topmost state's signals; they are made of the int16 copies of the one below."""
     below = list(features)
-    names = number_layers("gru", len(network.layers), ".")
-    for name, gru in zip(names, network.layers, strict=True):
-        top = gru is network.layers[-1]
-        node, bits = ("gru", STATE_BITS) if top else (name, COPY_BITS)
+    for name, gru in zip(number_layers("gru", len(grus), "."), grus, strict=True):
+        node, bits = ("gru", STATE_BITS) if gru is grus[-1] else (name, COPY_BITS)
         states = []
         for j in range(gru.w_h.shape[1]):
             row = [*gru.bias[:, j], *gru.w_x[:, j].ravel(), *gru.w_h[:, j].ravel()]
@@ -80,33 +97,6 @@ def _describe_states(network: FloatNetwork, features: Sequence[Signal]) -> list[
             states.append(state.standing_for(f"gru_{gru.reset}", below, *map(float, row)))
         below = states
     return below
-
-
-def describe_layered(
-    network: FloatLayeredNetwork,
-    scales: LayeredScales,
-    nodes: Sequence[IntegerNode],
-    features: Sequence[Signal],
-) -> list[Signal]:
-    """Return the head's signals [K] of a network whose layers may read several others.
-
-    Where it is more than one LSTM over the features, no more is said of what the head reads than
-    that it carries errors on: of each state, where it is the states of one recurrent layer.
-    """
-    read = next(node for node in nodes if node.name in nodes[-1].inputs)
-    width, gains = 1, [[1.0]] * len(network.head)
-    if isinstance(read, IntegerRecurrent):
-        width, gains = read.width, network.head.tolist()
-    carried = [Signal(read.name, 2.0**-STATE_BITS, index=j) for j in range(width)]
-    states = [state.standing_for("recurrent", features) for state in carried]
-    only = network.layers[0] if network.reads == (1,) and len(network.layers) == 1 else None
-    if only is not None and isinstance(only.cell, FloatLstm) and only.reads == (0,):
-        states = _describe_lstm(read.name, only.cell, features)
-    heads = []
-    for k, row in enumerate(gains):
-        head = Signal("head", 2.0 ** -int(scales.head[k]), index=k)
-        heads.append(head.standing_for("linear", states, *row))
-    return heads
 
 
 def _describe_lstm(name: str, lstm: FloatLstm, features: Sequence[Signal]) -> list[Signal]:
@@ -120,11 +110,11 @@ def _describe_lstm(name: str, lstm: FloatLstm, features: Sequence[Signal]) -> li
 
 
 def _describe_dense(
-    layer: FloatDense, name: str, below: list[Signal], exponents: NDArray[np.int64]
+    layer: FloatDense, name: str, exponents: IntArray, below: list[Signal]
 ) -> list[Signal]:
     signals = []
     for i, row in enumerate(layer.weight.tolist()):
-        signal = Signal(name, 2.0 ** -(int(exponents[i]) + COPY_BITS), index=i)
+        signal = Signal(name, 2.0 ** -int(exponents[i]), index=i)
         numbers = (layer.low, layer.high, float(layer.bias[i]), *row)
         signals.append(signal.standing_for(f"dense_{layer.activation}", below, *numbers))
     return signals
@@ -166,8 +156,8 @@ class Quantized:
     """Of the float model's features, as held beyond calibration."""
     answers: tuple[Signal, ...]
     """Of the drifts; what they stand for is the float model, with its unrounded parameters."""
-    scales: LayeredScales | None = None
-    """Of the layers of a network whose layers may read several others."""
+    scales: LayerScales | None = None
+    """Of the network's layers, where there is one."""
 
 
 def quantize(model: FloatModel, calibration: Calibration, weights: str = "int16") -> IntegerModel:
@@ -201,11 +191,11 @@ def quantize_graph(
     lowered = [_lower_feature(lowering, model, j) for j in range(len(model.features))]
     signals, coefficients, constant = _gather(lowered, model.coefficients)
     offset = model.offset + constant
-    head_exponents, heads, scales = None, list[Signal](), None
+    heads, scales = list[Signal](), None
     if model.network is not None:
-        lowered_network = _lower_network(lowering, model, model.network, calibration, weights)
-        head_exponents, heads, scales = lowered_network
+        heads, scales = _lower_network(lowering, model, model.network, calibration, weights)
         offset = offset + model.network.head_bias
+    head_exponents = scales.head if scales is not None else None
     _lower_drift(lowering, model, signals, coefficients, head_exponents, offset, calibration)
     low, high = calibration.temperature_range or calibration.code_limits[0]
     integer = IntegerModel(
@@ -229,9 +219,7 @@ def quantize_graph(
     return Quantized(integer, lowering.signals, tuple(lowered), answers, scales)
 
 
-def _gather(
-    signals: Sequence[Signal], coefficients: Array
-) -> tuple[list[Signal], Array, NDArray[np.float64]]:
+def _gather(signals: Sequence[Signal], coefficients: Array) -> tuple[list[Signal], Array, Array]:
     """Return a weighted sum of signals with every node once.
 
     Args:
@@ -269,22 +257,14 @@ def _read_first_input(lowering: Lowering, model: FloatModel) -> Signal:
 def _lower_network(
     lowering: Lowering,
     model: FloatModel,
-    network: FloatNetwork | FloatLayeredNetwork | FloatFeedForward,
+    network: FloatNetwork,
     calibration: Calibration,
     weights: str,
-) -> tuple[NDArray[np.int64], list[Signal], LayeredScales | None]:
-    """Add features, layers and head; return the exponent of each head row, and its signals.
-
-    Where a layer may read several others, also what the layers' integers stand for.
-    """
+) -> tuple[list[Signal], LayerScales]:
+    """Add features, layers and head; return the head's signals, and what the integers stand for."""
     assert model.whitening is not None and model.tap_mean is not None
     taps = [lowering.lower(node) for node in model.taps]
-    exponents = np.array(
-        [
-            min(choose_exponent(FEATURE_HEADROOM * float(largest), INT16_MAX), 15)
-            for largest in calibration.feature_max
-        ]
-    )
+    exponents = choose_feature_exponents(calibration)
     inputs, rows, constant = _gather(taps, model.whitening.T * 2.0**exponents)
     constant = constant - model.whitening @ model.tap_mean * 2.0**exponents
     if not inputs:
@@ -307,12 +287,14 @@ def _lower_network(
         )
     )
     features = describe_features(taps, model.whitening, model.tap_mean, exponents)
-    if isinstance(network, FloatLayeredNetwork):
-        scales = append_layered(lowering, network, exponents, weights, model.window)
-        heads = describe_layered(network, scales, lowering.nodes, features)
-        return scales.head, heads, scales
-    read_out = append_network(lowering, network, exponents, weights, model.window)
-    return read_out.head_exponents, describe_network(network, features, read_out), None
+    scales = append_network(lowering, network, exponents, weights, model.window)
+    return describe_network(network, scales, lowering.nodes, features), scales
+
+
+def choose_feature_exponents(calibration: Calibration) -> IntArray:
+    """Return [I] f of the network's features, which stand for integer * 2**-f."""
+    largest = FEATURE_HEADROOM * calibration.feature_max
+    return np.array([min(choose_exponent(float(x), INT16_MAX), 15) for x in largest])
 
 
 def _lower_drift(
@@ -320,7 +302,7 @@ def _lower_drift(
     model: FloatModel,
     signals: list[Signal],
     weights: Array,
-    head_exponents: NDArray[np.int64] | None,
+    head_exponents: IntArray | None,
     offset: Array,
     calibration: Calibration,
 ) -> None:

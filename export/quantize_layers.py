@@ -7,20 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork, width_of
+from zerodrift.export.float_network import FloatNetwork, width_of
 from zerodrift.export.lowering import Lowering
 from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, INT32_MAX, choose_exponent
 from zerodrift.operations.dense import (
     COPY_BITS,
     FloatDense,
-    FloatFeedForward,
     IntegerDense,
     IntegerFeatureDense,
 )
 from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import GATES, H_LIMIT_Q30, FloatGru, IntegerGru
+from zerodrift.operations.gru.cell import GATES, FloatGru, IntegerGru
 from zerodrift.operations.gru_stack import IntegerGruStack
 from zerodrift.operations.head import IntegerHead, IntegerJoinHead
 from zerodrift.operations.intervals import Interval
@@ -46,8 +45,6 @@ from zerodrift.operations.tables import TABLE_BITS
 
 # Formats for a dense layer, the finest that are provably safe.
 
-Exponents = NDArray[np.int64]
-
 
 SHIFT_LIMIT = 30
 
@@ -56,10 +53,10 @@ def quantize_dense(
     layer: FloatDense,
     name: str,
     source: str,
-    exponents: Exponents,
+    exponents: IntArray,
     inputs: Sequence[Interval],
     of_features: bool = False,
-) -> tuple[IntegerDense, Exponents]:
+) -> tuple[IntegerDense, IntArray]:
     """Return a dense layer with the finest formats that are provably safe.
 
     A row of "clip" keeps the largest result that its inputs can give, so that int16 never
@@ -156,12 +153,12 @@ class GateRows:
 class GateFormat:
     """Integer rows of one gate at scale 2**exponent (the n gate's features at one bit less)."""
 
-    w_x: NDArray[np.int64]
-    w_h: NDArray[np.int64]
-    bias: NDArray[np.int64]  # outside the reset product
-    bias_inside: NDArray[np.int64]
+    w_x: IntArray
+    w_h: IntArray
+    bias: IntArray  # outside the reset product
+    bias_inside: IntArray
     shift: int
-    multiplier: NDArray[np.int64] | None
+    multiplier: IntArray | None
     multiplier_shift: int
 
     def fits(self, inside: bool) -> bool:
@@ -183,7 +180,7 @@ class GateFormat:
         return largest <= INT16_MAX and int((from_x + product).max()) <= INT32_MAX
 
 
-def quantize_gru(gru: FloatGru, feature_exponents: NDArray[np.int64], weights: str) -> IntegerGru:
+def quantize_gru(gru: FloatGru, feature_exponents: IntArray, weights: str) -> IntegerGru:
     """Return the integer GRU with the finest power-of-two scale per gate that is provably safe.
 
     Args:
@@ -246,7 +243,7 @@ def refuse_not_finite(kind: str, layer: FloatGru | FloatLstm) -> None:
             raise CheckError(f"{kind} {name}{list(at)} is not finite; the model is refused")
 
 
-def choose_gate(gate: GateRows, feature_exponents: NDArray[np.int64], weights: str) -> GateFormat:
+def choose_gate(gate: GateRows, feature_exponents: IntArray, weights: str) -> GateFormat:
     """Return a gate's rows at the finest scale that is provably safe.
 
     Args:
@@ -271,7 +268,7 @@ def choose_gate(gate: GateRows, feature_exponents: NDArray[np.int64], weights: s
 
 
 def _format_gate(
-    gate: GateRows, feature_exponents: NDArray[np.int64], weights: str, exponent: int
+    gate: GateRows, feature_exponents: IntArray, weights: str, exponent: int
 ) -> GateFormat | None:
     """Return the gate's rows with its accumulator at 2**exponent, or None if one cannot fit."""
     inside = gate.inside
@@ -300,7 +297,7 @@ def _format_gate(
 
 def _format_recurrent(
     w_h: Array, exponent: int, weights: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64] | None, int] | None:
+) -> tuple[IntArray, IntArray | None, int] | None:
     """Return integer rows, and for int8 the multipliers and their shift; None if one cannot fit."""
     if weights == "int16":
         scaled = np.round(w_h * 2.0**exponent)
@@ -314,7 +311,7 @@ def _format_recurrent(
     return rows.astype(np.int64), np.round(scale * 2.0**shift).astype(np.int64), shift
 
 
-def quantize_head(weights: Array) -> tuple[NDArray[np.int16], NDArray[np.int64]]:
+def quantize_head(weights: Array) -> tuple[NDArray[np.int16], IntArray]:
     """Return int16 rows [K, H] for the head and the exponent of each row's 32-bit sum.
 
     Args:
@@ -341,9 +338,7 @@ def quantize_head(weights: Array) -> tuple[NDArray[np.int16], NDArray[np.int64]]
 LARGEST_CODE = 32768.0
 
 
-def quantize_lstm(
-    lstm: FloatLstm, feature_exponents: NDArray[np.int64], weights: str
-) -> IntegerLstm:
+def quantize_lstm(lstm: FloatLstm, feature_exponents: IntArray, weights: str) -> IntegerLstm:
     """Return the integer LSTM with the finest power-of-two scale per gate that is provably safe.
 
     Args:
@@ -388,7 +383,7 @@ def quantize_lstm(
     )
 
 
-def choose_cell_bits(lstm: FloatLstm, feature_exponents: NDArray[np.int64]) -> int:
+def choose_cell_bits(lstm: FloatLstm, feature_exponents: IntArray) -> int:
     """Return the fractional bits of the cell state: as many as its proven range leaves, 24 to 27.
 
     |c| is at most i g / (1 - f) with the largest i, g and f that features of 16 bits and |h| <= 1
@@ -414,8 +409,8 @@ FINEST = 24
 
 
 def quantize_layer_norm(
-    layer: FloatLayerNorm, name: str, source: str, exponents: Exponents
-) -> tuple[IntegerLayerNorm, Exponents]:
+    layer: FloatLayerNorm, name: str, source: str, exponents: IntArray
+) -> tuple[IntegerLayerNorm, IntArray]:
     """Return a layer normalisation with the finest formats that are provably safe.
 
     Args:
@@ -474,20 +469,32 @@ def quantize_layer_norm(
     return node, own
 
 
-# Formats for a network whose layers may read several others, and its nodes.
+# Formats for everything from the features to the head, and the nodes.
+
+
+def quantize_grus(
+    grus: Sequence[FloatGru], feature_exponents: IntArray, weights: str
+) -> list[IntegerGru]:
+    """Return GRUs on top of each other; each but the first reads the state of the one below.
+
+    Raises:
+        CheckError: a gate has no safe scale.
+    """
+    below = [feature_exponents, *(np.full(width_of(gru), COPY_BITS) for gru in grus)]
+    return [quantize_gru(g, e, weights) for g, e in zip(grus, below, strict=False)]
 
 
 @dataclass(frozen=True)
-class LayeredScales:
-    """What the integers of a layered network stand for."""
+class LayerScales:
+    """What the integers of a network stand for."""
 
-    layers: Mapping[str, tuple[int, Exponents]]
+    layers: Mapping[str, tuple[int, IntArray]]
     """Node -> the layer whose output it gives, counted from 1, and [M] e: value * 2**-e."""
-    head: Exponents
+    head: IntArray
     """[K]: a sum stands for sum * 2**-e."""
 
 
-def group_layers(network: FloatLayeredNetwork) -> list[list[int]]:
+def group_layers(network: FloatNetwork) -> list[list[int]]:
     """Return the layers, counted from 1, in groups that become one node each.
 
     Recurrent layers of one kind on top of each other, the lower read by nothing else, are one.
@@ -509,13 +516,13 @@ def group_layers(network: FloatLayeredNetwork) -> list[list[int]]:
     return sorted(groups, key=lambda group: group[-1])
 
 
-def append_layered(
+def append_network(
     lowering: Lowering,
-    network: FloatLayeredNetwork,
-    feature_exponents: Exponents,
+    network: FloatNetwork,
+    feature_exponents: IntArray,
     weights: str,
     window: int,
-) -> LayeredScales:
+) -> LayerScales:
     """Add all layers and the head after the node "features"; return what they stand for.
 
     Args:
@@ -530,7 +537,7 @@ def append_layered(
             layer reads what another recurrent one does not hand up directly.
     """
     names, exponents = {0: "features"}, {0: feature_exponents}
-    found: dict[str, tuple[int, Exponents]] = {}
+    found: dict[str, tuple[int, IntArray]] = {}
     for group in group_layers(network):
         if window:
             _refuse_split_window(network, group)
@@ -546,14 +553,14 @@ def append_layered(
     rows, head = quantize_head(network.head * 2.0 ** (COPY_BITS - given))
     of_layer = len(network.reads) == 1 and network.reads[0] != 0
     lowering.append((IntegerHead if of_layer else IntegerJoinHead)("head", (source,), rows))
-    return LayeredScales(found, head)
+    return LayerScales(found, head)
 
 
 def _append_join(
     lowering: Lowering,
     reads: Sequence[int],
     names: Mapping[int, str],
-    exponents: Mapping[int, Exponents],
+    exponents: Mapping[int, IntArray],
 ) -> str:
     """Return the node that gives all of some sources; a join is added where it needs one."""
     if len(reads) == 1:
@@ -578,13 +585,13 @@ def _name(lowering: Lowering, kind: str) -> str:
 
 def _make_node(
     lowering: Lowering,
-    network: FloatLayeredNetwork,
+    network: FloatNetwork,
     group: Sequence[int],
     source: str,
-    given: Exponents,
+    given: IntArray,
     weights: str,
     window: int,
-) -> tuple[IntegerNode, Exponents]:
+) -> tuple[IntegerNode, IntArray]:
     """Return the node of a group of layers, and the exponents of its int16 copies."""
     copied = _is_layer(lowering, source)
     cells = [network.layers[k - 1].cell for k in group]
@@ -592,6 +599,8 @@ def _make_node(
         reach = lowering.intervals[source]
         copies = [x.round_shift(COPY_BITS) for x in reach] if copied else reach
         name = _name(lowering, "dense")
+        if network.is_chain:
+            name = f"dense_{group[0] - len(network.grus) - 1}"
         return quantize_dense(cells[0], name, source, given, copies, not copied)
     if isinstance(cells[0], FloatLayerNorm):
         return quantize_layer_norm(cells[0], _name(lowering, "layer_norm"), source, given)
@@ -600,17 +609,19 @@ def _make_node(
             IntegerJoin(_name(lowering, "join"), (source,), (COPY_BITS,), (given.size,))
         )
     own = np.full(width_of(cells[-1]), COPY_BITS)
-    scales = [given, *(np.full(width_of(cell), COPY_BITS) for cell in cells)]
-    pairs = list(zip(cells, scales, strict=False))
-    grus = [quantize_gru(c, e, weights) for c, e in pairs if isinstance(c, FloatGru)]
-    lstms = [quantize_lstm(c, e, weights) for c, e in pairs if isinstance(c, FloatLstm)]
-    if lstms:
-        name = _name(lowering, "lstm")
-        return IntegerLstmLayer(name, (source,), layers=tuple(lstms), window=window), own
-    name, (*lower, top) = _name(lowering, "gru"), grus
-    if not lower:
-        return IntegerGruLayer(name, (source,), gru=top, window=window), own
-    return IntegerGruStack(name, (source,), gru=top, window=window, lower=tuple(lower)), own
+    grus = [cell for cell in cells if isinstance(cell, FloatGru)]
+    if grus:
+        name, (*lower, top) = _name(lowering, "gru"), quantize_grus(grus, given, weights)
+        if not lower:
+            return IntegerGruLayer(name, (source,), gru=top, window=window), own
+        return IntegerGruStack(name, (source,), gru=top, window=window, lower=tuple(lower)), own
+    below = [given, *(np.full(width_of(cell), COPY_BITS) for cell in cells)]
+    lstms = tuple(
+        quantize_lstm(cell, scales, weights)
+        for cell, scales in zip(cells, below, strict=False)
+        if isinstance(cell, FloatLstm)
+    )
+    return IntegerLstmLayer(_name(lowering, "lstm"), (source,), layers=lstms, window=window), own
 
 
 def _is_layer(lowering: Lowering, name: str) -> bool:
@@ -619,7 +630,7 @@ def _is_layer(lowering: Lowering, name: str) -> bool:
     return name != "features" and not isinstance(node, IntegerJoin)
 
 
-def _refuse_split_window(network: FloatLayeredNetwork, group: Sequence[int]) -> None:
+def _refuse_split_window(network: FloatNetwork, group: Sequence[int]) -> None:
     """Refuse a windowed recurrent layer that stands on another one, but not in one node with it."""
     if not network.layers[group[0] - 1].recurrent:
         return
@@ -635,117 +646,3 @@ def _refuse_split_window(network: FloatLayeredNetwork, group: Sequence[int]) -> 
             " layers, or the recurrent layer of its own kind right below it; something else stands"
             " between. Give --memory stream, or train the network with a carried state."
         )
-
-
-# Formats for everything from the features to the head: recurrent layers, dense layers, head.
-
-
-@dataclass(frozen=True)
-class ReadOut:
-    """The nodes between state or features and the answer, with their scales."""
-
-    dense: tuple[IntegerDense, ...]
-    dense_exponents: tuple[Exponents, ...]
-    """Of each dense layer, [M]: its int16 copies stand for copy * 2**-e, its results, which have
-    `COPY_BITS` more bits, for result * 2**-(e + COPY_BITS)."""
-    head: IntegerHead
-    head_exponents: Exponents
-    """[K]: a sum stands for sum * 2**-e."""
-
-
-def append_network(
-    lowering: Lowering,
-    network: FloatNetwork | FloatFeedForward,
-    feature_exponents: Exponents,
-    weights: str,
-    window: int,
-) -> ReadOut:
-    """Add recurrent layers if there are any, dense layers and head after the node "features".
-
-    Args:
-        lowering: takes the nodes.
-        network: the float network.
-        feature_exponents: [I] f with feature = integer * 2**-f.
-        weights: "int16", or "int8" for 8-bit recurrent weights.
-        window: 0, or the number of samples of a window.
-
-    Returns:
-        The nodes after the recurrent layers, with their scales.
-
-    Raises:
-        CheckError: a layer has no safe format; names it and its row.
-    """
-    if isinstance(network, FloatFeedForward):
-        read_out = quantize_read_out(
-            network, "features", feature_exponents, lowering.intervals["features"]
-        )
-    else:
-        *lower, top = quantize_layers(network.layers, feature_exponents, weights)
-        if lower:
-            lowering.append(
-                IntegerGruStack("gru", ("features",), gru=top, window=window, lower=tuple(lower))
-            )
-        else:
-            lowering.append(IntegerGruLayer("gru", ("features",), gru=top, window=window))
-        read_out = quantize_state_read_out(network)
-    for node in (*read_out.dense, read_out.head):
-        lowering.append(node)
-    return read_out
-
-
-def quantize_layers(
-    layers: Sequence[FloatGru], feature_exponents: Exponents, weights: str
-) -> list[IntegerGru]:
-    """Return the recurrent layers from the bottom up; each reads the state of the one below.
-
-    Raises:
-        CheckError: a gate has no safe scale.
-    """
-    bottom, *upper = layers
-    above = [quantize_gru(gru, np.full(gru.w_x.shape[2], COPY_BITS), weights) for gru in upper]
-    return [quantize_gru(bottom, feature_exponents, weights), *above]
-
-
-def quantize_state_read_out(network: FloatNetwork) -> ReadOut:
-    """Return everything after the recurrent layers, whatever their weights are.
-
-    Raises:
-        CheckError: a layer has no safe format; names it and its row.
-    """
-    hidden = network.layers[-1].w_h.shape[1]
-    reach = [Interval(-H_LIMIT_Q30, H_LIMIT_Q30)] * hidden
-    return quantize_read_out(network, "gru", np.full(hidden, COPY_BITS), reach)
-
-
-def quantize_read_out(
-    network: FloatNetwork | FloatFeedForward,
-    last: str,
-    exponents: Exponents,
-    reach: Sequence[Interval],
-) -> ReadOut:
-    """Return dense layers and head after the node `last`.
-
-    Args:
-        network: whose layers they are.
-        last: "gru" or "features".
-        exponents: its int16 copies, or the features, stand for value * 2**-e.
-        reach: what its values, or the features, can be.
-
-    Raises:
-        CheckError: a layer has no safe format; names it and its row.
-    """
-    nodes, scales = [], []
-    known = list(reach)
-    for index, layer in enumerate(network.dense):
-        of_features = last == "features"
-        copies = known if of_features else [x.round_shift(COPY_BITS) for x in known]
-        node, exponents = quantize_dense(
-            layer, f"dense_{index}", last, exponents, copies, of_features
-        )
-        known, _ = node.prove([known])
-        last = node.name
-        nodes.append(node)
-        scales.append(exponents)
-    rows, head_exponents = quantize_head(network.head * 2.0 ** (COPY_BITS - exponents))
-    head = IntegerHead(name="head", inputs=(last,), weights=rows)
-    return ReadOut(tuple(nodes), tuple(scales), head, head_exponents)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray, Mask
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_INPUT_RANGE,
@@ -20,7 +21,7 @@ from zerodrift.export.integer_model import (
     FLAG_WARMING_UP,
     IntegerModel,
 )
-from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, CodeArray, IntArray, saturate
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, CodeArray, saturate
 from zerodrift.operations.load import START_PASSES
 from zerodrift.operations.node import CODES, ELAPSED, PREVIOUS_DRIFT, IntegerNode, State
 from zerodrift.operations.tables import is_watched
@@ -58,7 +59,7 @@ def can_stretch(model: IntegerModel) -> bool:
     return not (model.feeds_back or model.tare or model.variable_step or is_watched())
 
 
-def hold_readings(codes: IntArray, missing: NDArray[np.bool_], last: IntArray) -> IntArray:
+def hold_readings(codes: IntArray, missing: Mask, last: IntArray) -> IntArray:
     """Return codes [T, B, C] with the last reading in the place of each that is none.
 
     Args:
@@ -198,7 +199,7 @@ class ModelState:
             drift=packed[:, drift:first_field],
         )
 
-    def choose(self, rows: NDArray[np.bool_], other: "ModelState") -> "ModelState":
+    def choose(self, rows: Mask, other: "ModelState") -> "ModelState":
         """Return the state whose rows [B] are those of another."""
         return self.unpack(np.where(rows[:, None], other.pack(), self.pack()))
 
@@ -304,11 +305,11 @@ class Reference:
             drift=drift if self.model.feeds_back else drift[:, :0],
         )
 
-    def _find_missing(self, codes: IntArray) -> NDArray[np.bool_]:
+    def _find_missing(self, codes: IntArray) -> Mask:
         """Return where codes [B, C] mean that there is no reading."""
         return np.asarray((codes == self._no_reading) & self._optional)
 
-    def _hold(self, state: ModelState, codes: IntArray, missing: NDArray[np.bool_]) -> IntArray:
+    def _hold(self, state: ModelState, codes: IntArray, missing: Mask) -> IntArray:
         """Return codes [B, C] with the last reading in the place of each that is none."""
         return np.where(missing, self._recall(state, codes), codes)
 
@@ -402,7 +403,7 @@ class Reference:
         return np.asarray(FLAG_WARMING_UP * (state.steps < self.model.guards.warm_up_steps))
 
     def _flags(
-        self, state: ModelState, codes: IntArray, span_us: IntArray, clamped: NDArray[np.bool_]
+        self, state: ModelState, codes: IntArray, span_us: IntArray, clamped: Mask
     ) -> IntArray:
         guards = self.model.guards
         temperature = codes[:, guards.temperature_channel]

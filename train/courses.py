@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from zerodrift.base.arrays import IntArray, Mask
 from zerodrift.train.attempts import Attempt, Problem, Stored
 from zerodrift.train.networks import Network, Parameters
 from zerodrift.train.sequences import Sequence32
-
-Places = NDArray[np.int64]
 
 STEPS_AT_ONCE = 512
 """Whole runs are walked through in pieces of this many samples, which bounds the memory."""
@@ -80,7 +78,9 @@ class Batch:
 class Course(ABC):
     """An order in which several attempts go through their training sequences, epoch by epoch."""
 
-    def __init__(self, problems: Sequence[Problem], owner: Places, front: int, device: str) -> None:
+    def __init__(
+        self, problems: Sequence[Problem], owner: IntArray, front: int, device: str
+    ) -> None:
         """Lay out the runs.
 
         Args:
@@ -93,7 +93,7 @@ class Course(ABC):
         chunk = self._settings.chunk
         self.runs = Runs([p.sequences for p in problems], front, chunk, device)
         self._owner_t = torch.from_numpy(owner).to(device)
-        self._slots: list[list[Places]] = []
+        self._slots: list[list[IntArray]] = []
         """Of each attempt, what its batches of this epoch are made of."""
 
     def start_epoch(
@@ -116,7 +116,7 @@ class Course(ABC):
         """Return for each attempt whether it has a batch of this number."""
         return [number < len(slots) for slots in self._slots]
 
-    def _gather_slots(self, number: int, part: slice) -> tuple[Places, NDArray[np.bool_]] | None:
+    def _gather_slots(self, number: int, part: slice) -> tuple[IntArray, Mask] | None:
         """Return the slots [A, B] of a batch and which are filled; None if none is."""
         mine = [slots[number] if number < len(slots) else () for slots in self._slots[part]]
         most = max(map(len, mine), default=0)
@@ -128,7 +128,7 @@ class Course(ABC):
         return found, filled
 
     @abstractmethod
-    def _shuffle(self, i: int, rng: np.random.Generator) -> Places:
+    def _shuffle(self, i: int, rng: np.random.Generator) -> IntArray:
         """Return the slots of one attempt's epoch in random order."""
 
     @abstractmethod
@@ -178,7 +178,7 @@ class StreamCourse(Course):
     def __init__(
         self,
         problems: Sequence[Problem],
-        owner: Places,
+        owner: IntArray,
         network: Network,
         parameters: Parameters,
         device: str,
@@ -253,7 +253,7 @@ class StreamCourse(Course):
     def _count_places(self, i: int) -> int:
         return min(self._most, (self.runs.length - int(self._offsets[i])) // self._settings.chunk)
 
-    def _shuffle(self, i: int, rng: np.random.Generator) -> Places:
+    def _shuffle(self, i: int, rng: np.random.Generator) -> IntArray:
         chunk = self._settings.chunk
         offset = int(rng.integers(1, chunk + 1))
         self._offsets[i] = offset
@@ -348,13 +348,13 @@ class WindowCourse(Course):
     """
 
     def __init__(
-        self, problems: Sequence[Problem], owner: Places, network: Network, device: str
+        self, problems: Sequence[Problem], owner: IntArray, network: Network, device: str
     ) -> None:
         self._memory = int(problems[0].settings.memory)
         super().__init__(problems, owner, self._memory - 1, device)
         self._network = network
 
-    def _shuffle(self, i: int, rng: np.random.Generator) -> Places:
+    def _shuffle(self, i: int, rng: np.random.Generator) -> IntArray:
         """Return the rows where windows start, in random order."""
         first = np.concatenate(
             [

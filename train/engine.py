@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.errors import InputError
 from zerodrift.train.attempts import (
     Attempt,
@@ -430,7 +430,7 @@ class Training:
             found.append(torch.cat(answers, dim=2))
         return torch.cat(found)
 
-    def _pool(self, i: int, error: NDArray[np.floating], counts: NDArray[np.bool_]) -> float:
+    def _pool(self, i: int, error: NDArray[np.floating], counts: Mask) -> float:
         """Return the RMSE of errors [R, P, K] where they count [R, P]."""
         by_group: dict[str, list[Array]] = {}
         for j, s in enumerate(self._problems[self._owner[i]].held_out):

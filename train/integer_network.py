@@ -20,9 +20,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import InputError
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.dense import COPY_BITS, IntegerDense
 from zerodrift.operations.gru.cell import FloatGru, IntegerGru
 from zerodrift.train.attempts import Problem
@@ -41,7 +41,7 @@ COPY_ONE = 2.0**15
 class TorchIntegerHead:
     """The chip's linear output layer: int16 rows and the exponent of each row's sum."""
 
-    def __init__(self, rows: NDArray[np.int16], exponents: NDArray[np.int64]) -> None:
+    def __init__(self, rows: NDArray[np.int16], exponents: IntArray) -> None:
         self.rows = rows.astype(np.float64)  # [K, H]
         self.scale = 2.0 ** -exponents.astype(np.float64)  # [K]
 

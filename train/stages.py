@@ -4,9 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import WINDOWED_KINDS, Config
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.drivers import list_thermometers
@@ -48,7 +47,7 @@ class Moments:
 class FeatureTable:
     """Columns and targets of all samples, each group without its mean."""
 
-    group: NDArray[np.int64]
+    group: IntArray
     """[m]."""
     rows: Array
     """[m, J + K]."""

@@ -34,7 +34,6 @@ from zerodrift.export.model_files import load_model
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import evaluate
-from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.verify.host_check import check_host
 from zerodrift.verify.vectors import draw_sequences
 
@@ -163,9 +162,7 @@ def answer(model: FloatModel, codes: np.ndarray) -> np.ndarray:
     if model.network is not None:
         assert model.whitening is not None and model.tap_mean is not None
         features = (values[:, count:] - model.tap_mean) @ model.whitening.T
-        network = model.network
-        dense = isinstance(network, FloatFeedForward)
-        drift = drift + (network.run(features) if dense else network.answer(features, 0))
+        drift = drift + model.network.answer(features, 0)
     return np.asarray(drift * np.array([o.lsb_per_unit for o in model.outputs]))
 
 

@@ -27,6 +27,7 @@ from tests.effects_on_chip.bench import (
 from tests.effects_on_chip.random_graphs import describe_graph, draw_codes
 from tests.effects_on_chip.test_networks_on_chip import add_drift, train_network
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.codegen.selftest import limits_of
 from zerodrift.dataset.runs import Run
@@ -149,9 +150,7 @@ def _compose(described: FloatModel, runs: tuple[Run, ...]) -> Case:
     return Case.of(described, calibrate(described, runs))
 
 
-def search(
-    case: Case, limits: NDArray[np.float64], rng: np.random.Generator, rounds: int
-) -> NDArray[np.float64]:
+def search(case: Case, limits: Array, rng: np.random.Generator, rounds: int) -> Array:
     """Return the largest error [K] that is found.
 
     Args:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.column_config import ConversionConfig, DividerConfig, sum_formula
 from zerodrift.base.errors import InputError
 from zerodrift.codegen.generate import generate
@@ -25,8 +26,6 @@ from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.conversion import IntegerConversion
-
-Array = NDArray[np.float64]
 
 LSB_K, NONE, KELVIN = 2.0**-7, -(2**15), 273.15
 MARK_K, MARK_BYTES, MARK_INSTRUCTIONS = 0.01, 1024, 80

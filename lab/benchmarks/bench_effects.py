@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_kernels import draw_temperature
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import Calibration, FloatModel, predict_fed_back
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, OutputFormat
-from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.gru.cell import FloatGru
@@ -27,8 +28,6 @@ from zerodrift.operations.operation import list_nodes
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.signals import graph_inputs, name_signals, plan_signals, read_signals
 from zerodrift.physics.terms import build_features, start_term
-
-Array = NDArray[np.float64]
 
 OUTPUTS, FULL_SCALE = ("Fz", "Mx"), (2000.0, 14.0)
 LSB_PER_UNIT = (1000, 100_000)
@@ -157,7 +156,7 @@ def draw_bench(seed: int, steps: int, hidden: int) -> Bench:
         warm_up_steps=0,
         ranges={node: (float(v.min()), float(v.max())) for node, v in values.items()},
     )
-    model = replace(model, network=FloatNetwork(gru, head, np.zeros(len(OUTPUTS))))
+    model = replace(model, network=FloatNetwork.stack((gru,), head, np.zeros(len(OUTPUTS))))
     return Bench(model, calibration, replace(run, measured=measured), truth)
 
 

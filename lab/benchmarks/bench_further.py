@@ -16,9 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.planned_sensors import LIMITS, LOOKED_AT, PERIOD_S, keep_outputs, record_plan
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
@@ -31,8 +31,6 @@ from zerodrift_lab.twin.project import render_config, to_dataset
 from zerodrift_lab.twin.recipe import EffectChoice, Recipe
 from zerodrift_lab.twin.sensor import OUTPUTS
 from zerodrift_lab.twin.simulate import Simulation, simulate
-
-Array = NDArray[np.float64]
 
 BUDGET_S = 10.0
 FURTHER = 999

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.export.compose import compose_integer_model, describe_compensator, predict_integer
@@ -16,7 +16,6 @@ from zerodrift.export.fine_tune import tune_for_int8
 from zerodrift.train.training import train
 from zerodrift_lab.twin.example import ensure_example_logs
 
-Array = NDArray[np.float64]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ft40"
 CASES = {
     "as it is": {},

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Run
@@ -92,7 +92,7 @@ def fit_polynomial(
     return float(np.sqrt(np.mean(residual**2))), float(np.std(residual))
 
 
-def _join(runs: tuple[Run, ...], output: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _join(runs: tuple[Run, ...], output: int) -> tuple[Array, Array]:
     temperature = np.concatenate([run.temperature_degC for run in runs])
     return temperature, np.concatenate([run.drift[:, output] for run in runs])
 

@@ -11,19 +11,19 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
 from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
-from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.export.reference import Reference
 from zerodrift.operations.backend import GraphOperations, evaluate
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.tables import T_MAX, T_MIN, sigmoid_q31, tanh_nodes, tanh_q30
 
-Array = NDArray[np.float64]
 INPUTS, HIDDEN, OUTPUTS = 4, 16, 6
 LSB_DEGC = 2.0**-7
 LSB_PER_UNIT = 10**6
@@ -80,9 +80,8 @@ def draw_slow_compensator(rng: np.random.Generator, codes: NDArray[np.int16]) ->
     w_h[1] *= 0.4
     bias = rng.normal(size=(4, HIDDEN)) * 0.2
     bias[1] = np.log(moves / (1.0 - moves))
-    network = FloatNetwork(
-        FloatGru(w_x, w_h, bias, "after"), rng.normal(size=(OUTPUTS, HIDDEN)), np.zeros(OUTPUTS)
-    )
+    gru, head = FloatGru(w_x, w_h, bias, "after"), rng.normal(size=(OUTPUTS, HIDDEN))
+    network = FloatNetwork.stack((gru,), head, np.zeros(OUTPUTS))
     model = FloatModel(
         name="bench",
         sample_period_s=1.0,
@@ -137,7 +136,7 @@ def draw_fast_float(hidden: int = HIDDEN) -> Compensator:
         taps=tuple(ops.input(name) for name in names),
         tap_mean=np.zeros(INPUTS),
         whitening=np.eye(INPUTS) / 8000.0,
-        network=FloatNetwork(gru, rng.normal(size=(OUTPUTS, hidden)), np.zeros(OUTPUTS)),
+        network=FloatNetwork.stack((gru,), rng.normal(size=(OUTPUTS, hidden)), np.zeros(OUTPUTS)),
     )
     calibration = Calibration(
         code_limits=((-32768, 32767),) * INPUTS,
@@ -301,7 +300,7 @@ def run_float_model(model: FloatModel, codes: NDArray[np.int16]) -> Array:
     degc = codes[:, 0] * LSB_DEGC
     signals = np.stack(evaluate(model.taps, {"temperature_degC": degc}, 1.0), axis=1)
     features = (signals - model.tap_mean) @ model.whitening.T
-    gru = model.network.gru
+    (gru,) = model.network.grus
     states = gru.run(features[None], gru.settle(features[:1]))[0]
     return np.asarray(states @ model.network.head.T + model.network.head_bias)
 

@@ -12,7 +12,6 @@ from zerodrift.codegen.generate import generate
 from zerodrift.export.quantize_layers import quantize_layer_norm
 from zerodrift.operations.layer_norm import FloatLayerNorm
 
-Array = NDArray[np.float64]
 WIDTHS = (4, 5, 8, 16, 31, 64)
 EPSILONS = (1e-3, 1e-5, 1e-8)
 VECTORS = 100_000

@@ -26,13 +26,11 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import beta
 
+from zerodrift.base.arrays import Array
 from zerodrift.field.watch import Rules, follow, make_blocks
-
-Array = NDArray[np.float64]
 
 NOISES = ("white", "first order", "flicker")
 FAULTS = ("ageing", "step", "other unit", "other model")

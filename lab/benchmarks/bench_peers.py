@@ -26,7 +26,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.bench_propose import draw_case, take_model
@@ -47,12 +46,11 @@ from benchmarks.formula_peers import (
     list_library,
     list_views,
 )
+from zerodrift.base.arrays import Array
 from zerodrift.base.extras import is_there
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.formula.proposal import propose_formula
 from zerodrift.physics.catalogue import load_catalogue
-
-Array = NDArray[np.float64]
 
 WORSE = 1.05
 """An error above this multiple of the best one's is worse."""

@@ -30,7 +30,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.planned_sensors import (
@@ -43,6 +42,7 @@ from benchmarks.planned_sensors import (
     record_default,
     record_plan,
 )
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import OPTIONAL, from_json, to_dict
 from zerodrift.diagnosis.diagnose import diagnose
@@ -134,7 +134,7 @@ def expect(planned: Planned, truth: str) -> Expected:
     """Return what a plan expects of one truth."""
     told, m = planned.told, planned.kinds.index(truth)
 
-    def list_draws(x: NDArray[np.float64]) -> tuple[float, ...]:
+    def list_draws(x: Array) -> tuple[float, ...]:
         return tuple(round(float(value), 4) for value in np.minimum(x[m], 1e6))
 
     apart = np.minimum(told.apart, 1e30)

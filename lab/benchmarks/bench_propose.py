@@ -24,10 +24,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.formula_cases import DISTURBANCES, FORMS, Simulated, simulate
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig, OutputConfig
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
@@ -248,9 +248,9 @@ def check_c(case: Simulated, found: FormulaSearch) -> bool:
 
 def _compare(case: Simulated, model: PhysicalModel) -> tuple[float, float]:
     """Return how far predictions are from the truth, and errors over the noise, on test runs."""
-    apart: list[NDArray[np.float64]] = []
-    left: list[NDArray[np.float64]] = []
-    noise: list[NDArray[np.float64]] = []
+    apart: list[Array] = []
+    left: list[Array] = []
+    noise: list[Array] = []
     for run in case.dataset.test:
         prediction, truth = model.predict(run), case.truth[run.name]
         for rows, difference in (

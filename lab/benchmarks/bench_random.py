@@ -27,7 +27,7 @@ from tests.fixed_point.accumulators import Record, drop_missing, prove_values, r
 from benchmarks.many_hosts import HOW, ManyHosts
 from benchmarks.random_models import Case, draw_case
 from benchmarks.tightness import Tightness
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.base.arrays import IntArray
 from zerodrift.verify.certificate import certify
 from zerodrift.verify.onnx_model import OnnxModel
 from zerodrift_proof import compare as check_certificate

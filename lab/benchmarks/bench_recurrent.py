@@ -20,6 +20,7 @@ from benchmarks.bench_kernels import (
     draw_slow_compensator,
     draw_temperature,
 )
+from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.cores import CORES
 from zerodrift.c_runtime.emulator import EmulatedModel
 from zerodrift.c_runtime.footprint import measure_footprint
@@ -27,14 +28,12 @@ from zerodrift.c_runtime.host import HostModel
 from zerodrift.c_runtime.qemu import QemuModel, is_available
 from zerodrift.codegen.generate import generate
 from zerodrift.export.float_model import FloatModel
-from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.export.onnx_reader import FloatNetwork
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import evaluate
 from zerodrift.operations.lstm.cell import FloatLstm
 
-Array = NDArray[np.float64]
 LSTM_MARK_PCT = 0.15
 """RMS of int16 against float over 1e5 steps, of the output's RMS about its mean."""
 
@@ -85,31 +84,26 @@ def draw_layer(layer: str) -> Compensator:
     kind, form, *_ = layer.split()
     drawn = draw_fast_float()
     network = drawn.model.network
-    assert isinstance(network, FloatNetwork)
+    assert network is not None
     if kind == "lstm":
         return replace(drawn, model=replace(drawn.model, network=_draw_lstm(OUTPUTS)))
     if form == "before":
-        bias = network.gru.bias.copy()
+        (gru,) = network.grus
+        bias = gru.bias.copy()
         bias[3] = 0.0
-        gru = replace(network.gru, reset="before", bias=bias)
-        return replace(drawn, model=replace(drawn.model, network=replace(network, gru=gru)))
+        before = network.replace_grus([replace(gru, reset="before", bias=bias)])
+        return replace(drawn, model=replace(drawn.model, network=before))
     return drawn
 
 
-def _draw_lstm(outputs: int) -> FloatLayeredNetwork:
+def _draw_lstm(outputs: int) -> FloatNetwork:
     rng = np.random.default_rng(1)
     lstm = FloatLstm(
         rng.normal(size=(4, HIDDEN, INPUTS)),
         rng.normal(size=(4, HIDDEN, HIDDEN)) / np.sqrt(HIDDEN),
         rng.normal(size=(4, HIDDEN)) * 0.5,
     )
-    return wrap_lstm(lstm, rng.normal(size=(outputs, HIDDEN)))
-
-
-def wrap_lstm(lstm: FloatLstm, head: Array) -> FloatLayeredNetwork:
-    """Return the network of an LSTM and a head over its output."""
-    layers = (FloatLayer(lstm, (0,)),)
-    return FloatLayeredNetwork(INPUTS, layers, (1,), head, np.zeros(len(head)))
+    return FloatNetwork.stack((lstm,), rng.normal(size=(outputs, HIDDEN)), np.zeros(outputs))
 
 
 def print_steps() -> None:
@@ -181,14 +175,15 @@ def draw_slow_lstm(rng: np.random.Generator, codes: NDArray[np.int16]) -> Compen
     w_h[:2] *= 0.4
     bias = rng.normal(size=(4, HIDDEN)) * 0.2
     bias[0], bias[1] = np.log(moves / (1.0 - moves)), np.log((1.0 - moves) / moves)
-    network = wrap_lstm(FloatLstm(w_x, w_h, bias), rng.normal(size=(OUTPUTS, HIDDEN)))
+    head = rng.normal(size=(OUTPUTS, HIDDEN))
+    network = FloatNetwork.stack((FloatLstm(w_x, w_h, bias),), head, np.zeros(OUTPUTS))
     return replace(slow, model=replace(slow.model, network=network))
 
 
 def run_float_lstm(model: FloatModel, codes: NDArray[np.int16]) -> Array:
     """Return the float compensator's drift [T, K], from rest at the first code."""
     network = model.network
-    assert isinstance(network, FloatLayeredNetwork)
+    assert network is not None
     assert model.tap_mean is not None and model.whitening is not None
     degc = codes[:, 0] * LSB_DEGC
     signals = np.stack(evaluate(model.taps, {"temperature_degC": degc}, 1.0), axis=1)

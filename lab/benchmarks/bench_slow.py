@@ -24,16 +24,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks import open_pool
 from benchmarks.bench_conditions import bound
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.diagnose import diagnose
 
-Array = NDArray[np.float64]
 KINDS = ("memory", "random_walk", "flicker", "ageing", "complete")
 THERMAL = {
     "thermal_lag",

@@ -14,6 +14,7 @@ from tests.blocks.units import describe_unit
 from tests.variable_step.models import make_lowpass, make_model
 
 from benchmarks.bench_conditions import bound
+from zerodrift.base.arrays import Array
 from zerodrift.c_runtime.compilers import SANITIZE, can_sanitize, find_compiler
 from zerodrift.c_runtime.emulator import EmulatedModel
 from zerodrift.c_runtime.footprint import measure_footprint
@@ -100,7 +101,7 @@ def compare_cores(folder: Path, steps: int) -> None:
         print(f"{core}, emulated, {len(codes)} steps: {'0 LSB' if same else 'DIFFERS'}")
 
 
-def measure_response(folder: Path, ratios: NDArray[np.float64]) -> None:
+def measure_response(folder: Path, ratios: Array) -> None:
     """Print how far the answer to a step is from its closed form, in % of the step."""
     tau_s = 1000.0
     model = make_lowpass((tau_s,))

@@ -18,15 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import load_config
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Run
 from zerodrift.train.training import train
 from zerodrift_lab.twin.example import ensure_example_logs
-
-Array = NDArray[np.float64]
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ft40"
 WINDOW, HIDDEN, BATCH, RATE, EPOCHS = 10, 36, 128, 1e-3, 2000

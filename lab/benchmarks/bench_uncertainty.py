@@ -15,11 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import beta
 
 from benchmarks.foreign import case, files
 from benchmarks.real_units import DATA, UNITS, UNSEEN, RealUnit, leave_out_each
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, NetworkConfig, load_config
 from zerodrift.base.errors import CheckError
 from zerodrift.dataset.load import load_dataset
@@ -38,8 +38,6 @@ from zerodrift.train.training import train
 from zerodrift.verify.left_out import LeftOut, leave_out_together
 from zerodrift.verify.uncertainty import measure_uncertainty
 from zerodrift_lab.twin import Recipe, simulate, write_logs
-
-Array = NDArray[np.float64]
 
 SENSORS = 100
 """Of each simulator; `quick`: 4."""

@@ -13,16 +13,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_conditions import bound
 from benchmarks.hidden.cases import Case, make_recipe, read_simulation
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.referee import review
 from zerodrift_lab.twin.simulate import simulate
 
-Array = NDArray[np.float64]
 Spoil = Callable[[Run, Dataset, np.random.Generator], Run]
 HIDDEN = ("", "", "thermal_lag", "creep", "warm_up", "supply_sensitivity", "thermal_gradient")
 

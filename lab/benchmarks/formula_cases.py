@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, parse_config
 from zerodrift.dataset.runs import Dataset, Run
 
-Array = NDArray[np.float64]
 Channels = Mapping[str, Array]
 
 ROWS, PERIOD_S = 1500, 2.0

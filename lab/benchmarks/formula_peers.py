@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 
-Array = NDArray[np.float64]
 Predict = Callable[[Array], Array]
 """Columns [n, J] -> [n, K]."""
 Levels = Mapping[str, Array]

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.c_runtime.compilers import WARNINGS, find_compilers
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import GeneratedCode, generate
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 
 TRAPS = (
     "-fsanitize=signed-integer-overflow,shift,bounds,integer-divide-by-zero",

@@ -22,6 +22,7 @@ from tests.golden.model_factory import (
     draw_network,
 )
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import CheckError
 from zerodrift.codegen.selftest import limits_of
@@ -215,7 +216,7 @@ def draw_signals(rng: np.random.Generator, model: IntegerModel, logs: list[Run])
 
 def _draw_signal(
     rng: np.random.Generator, low: int, high: int, limit: int
-) -> NDArray[np.float64] | NDArray[np.int64]:
+) -> Array | NDArray[np.int64]:
     if rng.random() < 0.5:
         low, high = -limit, limit - 1
     span = high - low

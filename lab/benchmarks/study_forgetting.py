@@ -23,9 +23,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_contracting import SIZES, make_project
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.export.compose import describe_compensator
 from zerodrift.export.float_model import FloatModel
@@ -34,7 +34,6 @@ from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.train.training import train_together
 
-Array = NDArray[np.float64]
 HOLDS = (5, 20, 80, 300, 1200, 6000)
 """Steps at each end, before it goes on to the other."""
 STEPS = 3400
@@ -82,7 +81,8 @@ def find_radius(matrix: Array) -> float:
 
 def measure(network: FloatNetwork, x: Array, full_scale: Array, seed: int) -> Forgetting:
     """Return what is found with features [B, T, I]."""
-    gru, hidden = network.gru, network.gru.w_h.shape[1]
+    (gru,) = network.grus
+    hidden = gru.w_h.shape[1]
     rng = np.random.default_rng(seed)
     x = np.repeat(x, 2 * PAIRS, axis=0)
     h = rng.uniform(-1.0, 1.0, (len(x), hidden))
@@ -105,7 +105,7 @@ def measure(network: FloatNetwork, x: Array, full_scale: Array, seed: int) -> Fo
         h = gru.step(x[:, t], h)
         if t + 1 in LEFT:
             left.append(float(np.abs(h[::2] - h[1::2]).max()))
-            answers = network.read_out(h)
+            answers = network.answer_from(x[:, t], 0, {1: h})
             percent.append(float((np.abs(answers[::2] - answers[1::2]) / full_scale).max()))
     reach = 2.0 * np.abs(network.head).sum(axis=1) / full_scale
     return Forgetting(
@@ -160,7 +160,7 @@ def study(first: int, seeds: int, sizes: Sequence[int]) -> None:
             if isinstance(answer, Exception):
                 raise answer
             described = describe_compensator(answer.compensator, config, dataset.train)
-            if not isinstance(described.network, FloatNetwork):
+            if described.network is None:
                 print(f"{hidden} units, specimen {number}: training left the network out")
                 continue
             rate = max(float(np.abs(np.diff(r.temperature_degC)).max()) for r in dataset.train)

@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.single_records import FEWEST, TAUGHT, Record, fit_simple, list_records
 from zerodrift.base.config import EffectConfig
@@ -25,7 +24,6 @@ from zerodrift.dataset.runs import Run
 from zerodrift.physics.catalogue import load_catalogue
 from zerodrift.physics.fit import fit
 
-Array = NDArray[np.float64]
 EIGHTHS = (3, 4, 5, 6, 7)
 """Of the taught part, predicted in turn from all before."""
 

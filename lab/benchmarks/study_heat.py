@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass
 from zerodrift.train.front_end import TEMPERATURE, Tap, fit_front_end, read_source
@@ -32,8 +32,6 @@ from zerodrift_lab.paper.world import (
     record_test,
     record_training,
 )
-
-Array = NDArray[np.float64]
 
 JUDGED = ("chamber", "heating", "cooling", "walking_still")
 BENCH = JUDGED[1:]

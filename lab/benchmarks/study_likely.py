@@ -16,16 +16,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from benchmarks.bench_plan import Expected, Trial, list_probability, run_trials
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.judgement import MANY_RUNS
 from zerodrift.diagnosis.rules import ENOUGH_RUNS
 from zerodrift.discovery.criterion import MOST, NAMED_OF_FEWEST, logistic, tell_disguised
-
-Array = NDArray[np.float64]
 
 NAMES = ("APART", "NAMED", "NAMED_OF_FEW", "WORTH")
 PRIOR = np.array([[-0.7, 1.5], [0.0, 4.0], [0.0, 4.0], [0.0, 4.0]])

@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.dataset.runs import Run
 from zerodrift.export.float_model import predict_fed_back
@@ -46,8 +46,6 @@ from zerodrift_lab.twin.six_axis import (
     record,
     to_run,
 )
-
-Array = NDArray[np.float64]
 
 OBLIQUE = """\
 title Thermal chamber, one cycle with weights that load all six directions at once

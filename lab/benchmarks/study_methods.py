@@ -11,14 +11,12 @@ import argparse
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift_lab.methods import METHODS, Fitted, Options
 from zerodrift_lab.twin.six_axis import draw_sensor, load_protocol, record, to_dataset
 from zerodrift_lab.twin.six_axis.record import Recording
-
-Array = NDArray[np.float64]
 
 CHAMBER, VARIED, LOADED = 6, ("heating", "cooling", "walking", "standing", "lamp_steps"), 3
 PER_KIND = 2

@@ -17,16 +17,14 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.evidence.conditions import Ask, Condition
 from benchmarks.evidence.sources import Drawn, draw
 from benchmarks.evidence.tables import tell_least, tell_most
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift.diagnosis.diagnose import diagnose
-
-Array = NDArray[np.float64]
 
 AGEING = ("line", "root", "logarithm")
 KINDS = ("normal", "heavy", "handled", "walk", *AGEING)

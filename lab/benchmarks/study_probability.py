@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from benchmarks import bench_conditions, bench_slow
 from benchmarks.evidence.conditions import draw_asks
 from benchmarks.evidence.sources import CannotDrawError, draw
 from benchmarks.hidden.cases import LISTED, OUTSIDE, Case, make_recipe, read_simulation
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import EffectConfig
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset
@@ -45,7 +45,6 @@ from zerodrift.diagnosis.diagnosis_report import (
 )
 from zerodrift_lab.twin.simulate import simulate
 
-Array = NDArray[np.float64]
 PURPOSES, SHARES = ("one", "pair", "complete", "outside"), (0.45, 0.15, 0.2, 0.2)
 CONDITIONS = ("clean", "runs_4", "no_dwell")
 OTHER = "something outside the catalogue"

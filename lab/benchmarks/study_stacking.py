@@ -22,12 +22,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.single_records import DATA, FEWEST, TAUGHT, Record, fit_simple, list_records
+from zerodrift.base.arrays import Array
 
-Array = NDArray[np.float64]
 LAGS = 14
 GAINS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Of the local level: the share of each innovation that stays."""

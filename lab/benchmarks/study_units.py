@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.study_heat import JUDGED, measure_heat
+from zerodrift.base.arrays import Array
 from zerodrift.dataset.runs import Run
 from zerodrift.physics.fit import fit as fit_effects
 from zerodrift.train.front_end import TEMPERATURE
@@ -27,8 +27,6 @@ from zerodrift.train.lag_bank.units import Choice, Trial
 from zerodrift_lab.methods.interface import Options, list_outputs
 from zerodrift_lab.methods.physical import DEFAULT_EFFECTS
 from zerodrift_lab.paper.world import BODY, CHAMBER_CYCLES, record_test, record_training
-
-Array = NDArray[np.float64]
 
 SHAPES = ((4, 1), (4, 3), (6, 2), (8, 2), (12, 1), (16, 1), (24, 1))
 """Units of a member, and members."""

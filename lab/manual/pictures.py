@@ -6,15 +6,13 @@ from functools import cache
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.stats import t as student
 
+from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.evidence import flip_signs
 from zerodrift.operations.arithmetic import round_shift
 from zerodrift.report.figures import ACCENT, FLOOR, HEATING, LEFT, apply_style, draw_fingerprint
-
-Array = NDArray[np.float64]
 
 TRIALS, RUNS, SAMPLES = 400, 8, 600
 """Of the trial of false alarms."""

@@ -21,7 +21,7 @@ from zerodrift.blocks.gru import put_stream, read_stream
 from zerodrift.c_runtime.compilers import RUNTIME_FILES
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode, generate_design
-from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.lstm.cell import FloatLstm
@@ -143,15 +143,15 @@ def test_the_stream_comes_back() -> None:
 
 def swap_reset(model):
     """Return a model whose reset gate acts before the recurrent product."""
-    return replace(
-        model, network=replace(model.network, gru=replace(model.network.gru, reset="before"))
-    )
+    (gru,) = model.network.grus
+    return replace(model, network=model.network.replace_grus([replace(gru, reset="before")]))
 
 
 def stack_up(model):
     """Return a model with a second layer on the first."""
-    upper = draw_gru(1, 2, 2).gru
-    return replace(model, network=replace(model.network, upper=(upper,)))
+    network, upper = model.network, draw_gru(1, 2, 2)
+    cells = (*network.grus, *upper.grus)
+    return replace(model, network=FloatNetwork.stack(cells, network.head, network.head_bias))
 
 
 @pytest.mark.parametrize(
@@ -172,8 +172,7 @@ def test_an_lstm_is_refused_by_name() -> None:
     described, calibration = describe_unit(3, outputs=2, hidden=2)
     rng = np.random.default_rng(4)
     cell = FloatLstm(*(rng.uniform(-0.5, 0.5, (4, 2, n)) for n in (2, 2)), np.zeros((4, 2)))
-    layers = (FloatLayer(cell, (0,)),)
-    network = FloatLayeredNetwork(2, layers, (1,), rng.normal(size=(2, 2)), np.zeros(2))
+    network = FloatNetwork.stack((cell,), rng.normal(size=(2, 2)), np.zeros(2))
     with pytest.raises(CheckError, match=r"lstm.*cannot stand in a block.*lag_bank"):
         make_design([quantize(replace(described, network=network), calibration)])
 
@@ -185,8 +184,9 @@ def test_units_that_do_not_fit_are_refused_with_the_reason() -> None:
     design = find_design()
     with pytest.raises(CheckError, match="one size"):
         design.fit(make_unit(300, outputs=2, hidden=HIDDEN + 1))
-    gru = replace(described.network.gru, w_h=described.network.gru.w_h * 30)
-    strong = replace(described, network=replace(described.network, gru=gru))
+    (gru,) = described.network.grus
+    network = described.network.replace_grus([replace(gru, w_h=gru.w_h * 30)])
+    strong = replace(described, network=network)
     with pytest.raises(CheckError, match="coarser format"):
         design.fit(quantize(strong, calibration))
 

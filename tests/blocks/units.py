@@ -7,7 +7,7 @@ from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations
-from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.gru.cell import FloatGru
 
 PERIOD_S = 1.0
@@ -48,7 +48,7 @@ def describe_unit(
     taps = (t, ops.difference(t, late))
     dense = FloatDense(rng.normal(0, 1, (DENSE, 2)), rng.normal(0, 0.5, DENSE), "tanh")
     head = rng.normal(0, 0.1, (outputs, DENSE))
-    feed_forward = FloatFeedForward((dense,), head, np.zeros(outputs))
+    feed_forward = FloatNetwork.stack((dense,), head, np.zeros(outputs))
     model = FloatModel(
         name="cell",
         sample_period_s=PERIOD_S,
@@ -143,11 +143,9 @@ def draw_gru(seed: int, outputs: int, hidden: int) -> FloatNetwork:
     size = np.exp(rng.normal(0, 0.3, (3, 1, 1)))
     w_x, w_h = (rng.uniform(-end, end, (3, hidden, n)) * 2 * size for n in (2, hidden))
     bias = rng.uniform(-end, end, (4, hidden)) * 2
-    return FloatNetwork(
-        gru=FloatGru(w_x, w_h, bias, "after"),
-        head=rng.normal(0, 0.3, (outputs, hidden)) * end,
-        head_bias=np.zeros(outputs),
-    )
+    gru = FloatGru(w_x, w_h, bias, "after")
+    head = rng.normal(0, 0.3, (outputs, hidden)) * end
+    return FloatNetwork.stack((gru,), head, np.zeros(outputs))
 
 
 def make_unit(

@@ -14,9 +14,10 @@ from zerodrift.base.errors import CheckError
 from zerodrift.codegen.generate import generate
 from zerodrift.export.error_bound import ErrorBound, bound_errors
 from zerodrift.export.float_model import Calibration, FloatModel
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.quantize import Quantized, quantize_graph
 from zerodrift.export.reference import Reference
-from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.operations.dense import FloatDense
 from zerodrift.verify.certificate import certify
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def _feed_forward(rng: np.random.Generator, described: FloatModel) -> FloatModel
             layers.append(FloatDense(weight, bias, "clip", *LIMITS[rng.integers(len(LIMITS))]))
         inputs = rows
     outputs = len(described.outputs)
-    network = FloatFeedForward(
-        tuple(layers), rng.normal(size=(outputs, inputs)), rng.normal(size=outputs)
+    network = FloatNetwork.stack(
+        layers, rng.normal(size=(outputs, inputs)), rng.normal(size=outputs)
     )
     return replace(described, network=network, window=0)

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
 from zerodrift.export.quantize import Quantized
 from zerodrift.operations.backend import NumpyOperations
-from zerodrift.operations.dense import FloatFeedForward
 from zerodrift.operations.formats import RANGE_SPANS
 from zerodrift.operations.operation import Node, list_nodes
 from zerodrift.operations.signals import Signal
@@ -130,13 +128,9 @@ class _Held:
         scales = np.array([s.scale for s in _list_features(self._quantized)])
         x = np.clip(x, -32768 * scales, 32767 * scales)
         network = described.network
-        if isinstance(network, FloatFeedForward):
-            return network.run(x)
-        if isinstance(network, FloatLayeredNetwork):
-            return np.stack([network.answer(run, described.window) for run in x])
-        assert isinstance(network, FloatNetwork)
+        assert network is not None
         if described.window:
-            return np.stack([network.run_windows(run, described.window) for run in x])
+            return np.stack([network.answer(run, described.window) for run in x])
         return network.run(x, network.settle(x[:, 0]))
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from tests.bound.cases import Case
 from tests.effects_on_chip.random_graphs import LSBS, describe_graph, draw_codes
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.operations.backend import GraphOperations
-from zerodrift.operations.dense import FloatDense, FloatFeedForward
+from zerodrift.operations.dense import FloatDense
 from zerodrift.operations.errors import NONE, Error, Known
 from zerodrift.operations.node import IntegerNode
 from zerodrift.operations.operation import Node
@@ -107,8 +108,8 @@ def make_case(name: str) -> Case:
             coefficients=np.zeros((0, 2)),
             tap_mean=np.array([0.11, -0.07]),
             whitening=np.array([[0.7, 0.21], [-0.3, 0.9]]),
-            network=FloatFeedForward(
-                tuple(layers), 0.3 * rng.normal(size=(2, rows)), rng.normal(size=2) * 0.1
+            network=FloatNetwork.stack(
+                layers, 0.3 * rng.normal(size=(2, rows)), rng.normal(size=2) * 0.1
             ),
         )
         calibration = replace(calibration, feature_max=np.array([1.0, 1.0]))

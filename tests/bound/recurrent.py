@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tests.bound.cases import Case
 from tests.bound.planted import BATCH, FINE, PERIOD_S
 from tests.effects_on_chip.random_graphs import LSBS, describe_graph, draw_codes
-from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.operations.backend import GraphOperations
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
@@ -103,11 +103,7 @@ def make_case(
 ) -> Case:
     """Return a model of two features, GRUs or an LSTM and a head [2, H], without codes."""
     bias = np.array([0.11, -0.07])
-    network: FloatNetwork | FloatLayeredNetwork
-    if isinstance(cell, FloatGru):
-        network = FloatNetwork(cell, head, bias, upper)
-    else:
-        network = FloatLayeredNetwork(2, (FloatLayer(cell, (0,)),), (1,), head, bias)
+    network = FloatNetwork.stack((cell, *upper), head, bias)
     ops = GraphOperations(PERIOD_S)
     x = ops.affine(ops.input("x0"), 1.0 / 47.0, 0.0)
     nodes = [x, ops.affine(ops.input("x1"), 1.0 / 9.0, 0.13)]

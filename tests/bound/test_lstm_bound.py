@@ -19,7 +19,7 @@ from tests.bound.lstms import (
 from tests.bound.planted_lstm import FOUND, RULES
 from tests.bound.recurrent import make_case
 from zerodrift.export.error_bound import round_up
-from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayer, FloatNetwork
 from zerodrift.operations.errors import Known
 from zerodrift.operations.gate_sums import RealUnit
 from zerodrift.operations.lstm import IntegerLstmLayer, error
@@ -161,7 +161,7 @@ def test_a_point_has_one_part() -> None:
 def test_of_lstms_on_top_of_each_other_only_the_range_is_claimed() -> None:
     case = make_lstm(KINDS[1])
     network = case.described.network
-    assert isinstance(network, FloatLayeredNetwork)
+    assert isinstance(network, FloatNetwork)
     upper = replace(draw_lstm(KINDS[1]), w_x=np.zeros((4, 4, 4)))
     layers = (*network.layers, FloatLayer(upper, (1,)))
     described = replace(case.described, network=replace(network, layers=layers, reads=(2,)))

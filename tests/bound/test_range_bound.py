@@ -13,7 +13,7 @@ from tests.bound.lstms import draw_lstm
 from tests.bound.recurrent import Forgetful, draw_all_codes, draw_gru, draw_upper, make_case
 from tests.effects_on_chip.random_graphs import LSBS
 from zerodrift.export.error_bound import round_up
-from zerodrift.export.float_network import FloatLayer, FloatLayeredNetwork
+from zerodrift.export.float_network import FloatLayer, FloatNetwork
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift_proof.certificate.check import compare
 
@@ -36,7 +36,7 @@ def _make_lstm(layers: int = 1) -> Case:
     lstm = replace(lstm, w_h=9.0 * lstm.w_h)
     case = make_case(lstm, HEAD)
     network = case.described.network
-    assert isinstance(network, FloatLayeredNetwork)
+    assert isinstance(network, FloatNetwork)
     wide = replace(lstm, w_x=np.concatenate([lstm.w_x] * 2, axis=2))
     above = tuple(FloatLayer(wide, (k,)) for k in range(1, layers))
     network = replace(network, layers=network.layers + above, reads=(layers,))

@@ -45,6 +45,6 @@ def test_a_unit_that_keeps_its_sign_is_seen_to_forget_nothing() -> None:
 
 def _measure(gru: FloatGru) -> Forgetting:
     hidden = gru.w_h.shape[1]
-    network = FloatNetwork(gru, np.ones((1, hidden)), np.zeros(1))
+    network = FloatNetwork.stack((gru,), np.ones((1, hidden)), np.zeros(1))
     x = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 3100, 2))
     return measure(network, x, FULL_SCALE, 1)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import Cell, FloatLayer, FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import Cell, FloatLayer, FloatNetwork
 from zerodrift.export.integer_model import Channel, IntegerModel, OutputFormat
 from zerodrift.export.quantize import quantize
 from zerodrift.operations.backend import GraphOperations, Node
@@ -237,18 +237,20 @@ def draw_network(taps: list[tuple[Node, float]], shape: Shape, draw: Draw) -> di
         "taps": tuple(node for node, _ in taps),
         "tap_mean": draw.uniform(-5.0, 5.0, len(taps)),
         "whitening": mixing / np.array([largest for _, largest in taps]),
-        "network": FloatNetwork(
-            gru,
-            draw.uniform(-30.0, 30.0, shape.outputs, top),
-            draw.uniform(-5.0, 5.0, shape.outputs),
-            _draw_upper(shape, draw),
-            _draw_dense(shape, draw),
-        ),
+        "network": _draw_stack(gru, top, shape, draw),
         "window": shape.window,
     }
 
 
-def _draw_layered(shape: Shape, draw: Draw) -> FloatLayeredNetwork:
+def _draw_stack(gru: FloatGru, top: int, shape: Shape, draw: Draw) -> FloatNetwork:
+    """Return GRUs below dense layers; the head reads `top` numbers."""
+    head = draw.uniform(-30.0, 30.0, shape.outputs, top)
+    head_bias = draw.uniform(-5.0, 5.0, shape.outputs)
+    cells = (gru, *_draw_upper(shape, draw), *_draw_dense(shape, draw))
+    return FloatNetwork.stack(cells, head, head_bias)
+
+
+def _draw_layered(shape: Shape, draw: Draw) -> FloatNetwork:
     """Return a network whose layers read several others."""
     layers, widths, gain = list[FloatLayer](), [shape.inputs], shape.gain
     for kind, width, reads in shape.layered:
@@ -276,7 +278,7 @@ def _draw_layered(shape: Shape, draw: Draw) -> FloatLayeredNetwork:
         widths.append(width)
     reads = (0, len(layers))
     head = draw.uniform(-30.0, 30.0, shape.outputs, widths[0] + widths[-1])
-    return FloatLayeredNetwork(
+    return FloatNetwork(
         shape.inputs, tuple(layers), reads, head, draw.uniform(-5.0, 5.0, shape.outputs)
     )
 

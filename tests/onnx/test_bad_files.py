@@ -101,10 +101,10 @@ def test_external_data_elsewhere_is_not_followed(location: str, told: str, tmp_p
 def test_external_data_beside_the_file_is_read(tmp_path: Path) -> None:
     """As the plain torch.onnx.export writes it: net.onnx and net.onnx.data."""
     path, model = tmp_path / "net.onnx", build_network()
-    inside = read_imported_bytes(model.SerializeToString(), "net.onnx").plain
+    inside = read_imported_bytes(model.SerializeToString(), "net.onnx").network
     onnx.save(model, path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
-    found = read_imported(path).plain
-    np.testing.assert_array_equal(found.gru.w_h, inside.gru.w_h)
+    found = read_imported(path).network
+    np.testing.assert_array_equal(found.grus[0].w_h, inside.grus[0].w_h)
     np.testing.assert_array_equal(found.head, inside.head)
     whole = (tmp_path / "net.onnx.data").read_bytes()
     (tmp_path / "net.onnx.data").write_bytes(whole[:40])

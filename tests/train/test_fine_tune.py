@@ -12,13 +12,13 @@ from tests.golden.model_factory import Draw, Shape, draw_float_model
 from tests.train.one_at_a_time import Cell, step_gru
 from torch import Tensor
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.export.fine_tune import build_integer_network
 from zerodrift.export.float_network import FloatNetwork
-from zerodrift.export.onnx_reader import read_network_bytes
-from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
-from zerodrift.export.quantize_layers import quantize_gru, quantize_layers
+from zerodrift.export.onnx_reader import read_imported_bytes
+from zerodrift.export.quantize import choose_feature_exponents, quantize_graph
+from zerodrift.export.quantize_layers import quantize_gru, quantize_grus
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import INT16_MAX, IntArray, choose_exponent
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.train.integer_network import IntegerGruNetwork, Tuning, fine_tune
 from zerodrift.train.onnx_export import build_onnx
@@ -35,9 +35,10 @@ def as_stored(gru: FloatGru) -> FloatGru:
 
 
 def make_network(shape: Shape, seed: int, exponents: IntArray) -> IntegerGruNetwork:
-    model, _ = draw_float_model(shape, seed)
+    model, calibration = draw_float_model(shape, seed)
     assert model.network is not None
-    return build_integer_network(model.network, exponents, np.ones(shape.outputs))
+    rounded = quantize_graph(model, calibration)
+    return build_integer_network(model.network, rounded, exponents, np.ones(shape.outputs))
 
 
 @pytest.mark.long
@@ -53,15 +54,11 @@ def test_forward_pass_is_the_reference_bit_for_bit(shape: Shape, seed: int) -> N
     shape = replace(shape, hidden=max(shape.hidden, 1))
     float_model, calibration = draw_float_model(shape, seed)
     assert float_model.network is not None
-    stored = float_model.network.with_layers(list(map(as_stored, float_model.network.layers)))
-    model = quantize(replace(float_model, network=stored), calibration, "int8")
-    exponents = np.array(
-        [
-            min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
-            for x in calibration.feature_max
-        ]
-    )
-    network = build_integer_network(stored, exponents, np.ones(shape.outputs))
+    network = float_model.network
+    stored = network.replace_grus(list(map(as_stored, network.grus)))
+    rounded = quantize_graph(replace(float_model, network=stored), calibration, "int8")
+    model, exponents = rounded.model, choose_feature_exponents(calibration)
+    network = build_integer_network(stored, rounded, exponents, np.ones(shape.outputs))
     codes = Draw(seed + 1).codes(-32768, 32767, 2, 40, len(model.channels))
     seen: list[dict[str, IntArray]] = []
     Reference(model).run(codes, observe=lambda _, values: seen.append(dict(values)))
@@ -89,7 +86,7 @@ def test_gradient_is_that_of_the_float_cell(reset: str) -> None:
     """With weights that lose little to rounding both gradients agree; both are checked by hand."""
     shape = Shape(inputs=4, hidden=5, outputs=2, reset=reset)
     network = make_network(shape, 5, EXPONENTS)
-    network._quantize = lambda layers: quantize_layers(layers, EXPONENTS, "int16")
+    network._quantize = lambda layers: quantize_grus(layers, EXPONENTS, "int16")
     counts = Draw(6).codes(-9000, 9000, 20, 4, 3).astype(np.float32)
     x = torch.from_numpy(counts)
     drift, _ = network(x, network.cold(3))
@@ -119,7 +116,7 @@ def run_floats(network: FloatNetwork, layers: list[list[Tensor]], x: Tensor) -> 
             h = step_gru(Cell(w_x, w_h, bias, "after"), now.T, h)
             states.append(h.T)
         x = torch.stack(states)
-    for layer in network.dense:
+    for layer in (n.cell for n in network.layers[len(network.grus) :]):
         total = torch.from_numpy(layer.weight) @ x + torch.from_numpy(layer.bias)[:, None]
         x = torch.tanh(total) if layer.activation == "tanh" else total.clamp(layer.low, layer.high)
     return torch.from_numpy(network.head) @ x
@@ -128,10 +125,11 @@ def run_floats(network: FloatNetwork, layers: list[list[Tensor]], x: Tensor) -> 
 def test_gradient_goes_through_stacked_and_dense_layers() -> None:
     """It is that of PyTorch on the float network, down to the weights of the lowest layer."""
     shape = Shape(inputs=4, hidden=5, outputs=2, upper=(4,), dense=((6, "tanh"), (5, "relu6")))
-    model, _ = draw_float_model(shape, 5)
+    model, calibration = draw_float_model(shape, 5)
     assert model.network is not None
-    network = build_integer_network(model.network, EXPONENTS, np.ones(2))
-    network._quantize = lambda layers: quantize_layers(layers, EXPONENTS, "int16")
+    rounded = quantize_graph(model, calibration)
+    network = build_integer_network(model.network, rounded, EXPONENTS, np.ones(2))
+    network._quantize = lambda layers: quantize_grus(layers, EXPONENTS, "int16")
     x = torch.from_numpy(Draw(6).codes(-9000, 9000, 20, 4, 3).astype(np.float32))
     drift, _ = network(x, network.cold(3))
     drift.square().mean().backward()
@@ -152,9 +150,10 @@ def test_gradient_goes_through_stacked_and_dense_layers() -> None:
 def make_problem(reset: str, memory: str | int) -> tuple[IntegerGruNetwork, list[Sequence32]]:
     """Return an 8-bit network and, as targets, what its float form answers."""
     shape = Shape(inputs=4, hidden=6, outputs=2, reset=reset, update_bias=-1.0)
-    model, _ = draw_float_model(shape, 11)
+    model, calibration = draw_float_model(shape, 11)
     assert model.network is not None
-    gru = model.network.gru
+    (gru,) = model.network.grus
+    rounded = quantize_graph(model, calibration)
     walk = Draw(3).uniform(-600.0, 600.0, 3, 200, 4).cumsum(axis=1)
     sequences = []
     for counts in np.clip(np.round(walk), -30000, 30000):
@@ -174,7 +173,8 @@ def make_problem(reset: str, memory: str | int) -> tuple[IntegerGruNetwork, list
         sequences.append(Sequence32("a", counts.astype(np.float32), target.astype(np.float32)))
     size = np.sqrt(np.mean(np.concatenate([s.target for s in sequences]) ** 2, axis=0))
     scaled = [Sequence32("a", s.features, (s.target / size).astype(np.float32)) for s in sequences]
-    return build_integer_network(model.network, EXPONENTS, size.astype(np.float64)), scaled
+    size = size.astype(np.float64)
+    return build_integer_network(model.network, rounded, EXPONENTS, size), scaled
 
 
 @pytest.mark.spread(0, ("reset", "memory"), [("after", "stream"), ("before", 6)])
@@ -197,7 +197,8 @@ def test_weights_kept_are_those_that_the_chip_gets() -> None:
     network, sequences = make_problem("after", "stream")
     tuned = fine_tune(network, sequences, "stream", Tuning(epochs=2, evaluations=1))
     content = build_onnx(tuned.layers[0], np.ones((2, 6)), np.zeros(2), ["a", "b"])
-    again = quantize_gru(read_network_bytes(content, "test").gru, EXPONENTS, "int8")
+    (read,) = read_imported_bytes(content, "test").network.grus
+    again = quantize_gru(read, EXPONENTS, "int8")
     expected = quantize_gru(tuned.layers[0], EXPONENTS, "int8")
     for name in ("w_x", "w_h", "bias", "multiplier"):
         assert np.array_equal(getattr(again, name), getattr(expected, name)), name

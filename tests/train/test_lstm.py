@@ -13,7 +13,6 @@ from tests.onnx.test_firmware_onnx import TOML
 
 from zerodrift.base.config import NetworkConfig
 from zerodrift.cli.main import cli
-from zerodrift.export.float_network import FloatLayeredNetwork
 from zerodrift.export.model_files import load_model
 from zerodrift.export.onnx_reader import read_imported_bytes
 from zerodrift.operations.lstm import IntegerLstmLayer
@@ -84,13 +83,13 @@ def test_slow_unit_is_at_rest_after_settle() -> None:
     np.testing.assert_allclose(later, settled, atol=1e-6)
 
 
-def test_file_answers_as_the_network_and_is_read_as_a_layered_one() -> None:
+def test_file_answers_as_the_network_that_is_read_from_it() -> None:
     network = draw_network()
     cell, head = network.to_float(), network.head.detach().double().numpy()
     content = build_lstm_onnx(cell, head, np.array([0.3, -0.2]), ["Fz", "Mx"])
     features = np.random.default_rng(3).normal(size=(40, 3))
     imported = read_imported_bytes(content, "trained")
-    assert isinstance(imported.network, FloatLayeredNetwork)
+    assert [type(layer.cell) for layer in imported.network.layers] == [type(cell)]
     for window in (0, 7):
         found = OnnxNetwork(content).run(features, window)
         np.testing.assert_allclose(found, imported.network.answer(features, window), atol=1e-5)

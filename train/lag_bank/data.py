@@ -7,9 +7,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.lowpass import lowpass, lowpass_slope
 from zerodrift.train.front_end import read_source
@@ -57,8 +56,8 @@ class BankData:
         sources: Sequence[str],
         others: Sequence[Array],
         targets: Sequence[Array],
-        loaded: Sequence[NDArray[np.bool_]],
-        logged: Sequence[NDArray[np.bool_]] = (),
+        loaded: Sequence[Mask],
+        logged: Sequence[Mask] = (),
     ) -> None:
         self.dt_s = runs[0].sample_period_s
         self.sources = tuple(sources)
@@ -122,7 +121,7 @@ class BankData:
         return int(self.group.max()) + 1
 
     @cached_property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> Mask:
         """[m] rows whose temperatures the other groups have seen too.
 
         Only these rows are evaluated: rows beyond all other runs show how a model extrapolates,

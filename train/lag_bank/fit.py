@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.dataset.runs import Run, join_stretches
 from zerodrift.operations.backend import NumpyOperations, Operations
 from zerodrift.physics.fit import TARE_RATIO
@@ -32,7 +31,6 @@ from zerodrift.train.lag_bank.units import Choice, choose_units, fit_linear
 # correlation of neighbouring rows of the residual, before loads are solved (generalised
 # least squares with correlation of the first order; Prais and Winsten 1954).
 
-Places = NDArray[np.int64]
 
 LOAD_SHARE = 1e-3
 """Share of the largest load from which a sample counts as loaded."""
@@ -176,11 +174,11 @@ class _System:
         self._weight = float(sum(rows.weight[part].sum() for part in judged)) * self._outputs
 
     @staticmethod
-    def _sum(rows: Rows, x: Array, parts: Sequence[NDArray[np.bool_]]) -> Array:
+    def _sum(rows: Rows, x: Array, parts: Sequence[Mask]) -> Array:
         prepared = [rows.prepare(x, part) if part.any() else x[:0] for part in parts]
         return np.stack([x.T @ x for x in prepared])
 
-    def _pick(self, place: Places) -> Places:
+    def _pick(self, place: IntArray) -> IntArray:
         """Return the places of the bank's columns, of some load terms, and of the targets."""
         size = self._learnt.shape[1]
         return np.concatenate([np.arange(self._bank), place, np.arange(size - self._outputs, size)])
@@ -191,7 +189,7 @@ class _System:
         strength = shares * np.diag(products)[:j]
         return solve_ridge(products[:j, :j], products[:j, j:], strength)
 
-    def choose(self, place: Places) -> Bank:
+    def choose(self, place: IntArray) -> Bank:
         """Return the least ridge that no larger one beats on parts left out, with its error."""
         picked = self._pick(place)
         learnt, judged = (x[:, picked][:, :, picked] for x in (self._learnt, self._judged))
@@ -207,7 +205,7 @@ class _System:
             tried.append(Bank((), ridge, float(error)))
         return pick(tried)
 
-    def solve_all(self, place: Places, ridge: float) -> Array:
+    def solve_all(self, place: IntArray, ridge: float) -> Array:
         """Return the coefficients [T, K] of load terms from all rows, in units."""
         picked = np.ix_(self._pick(place), self._pick(place))
         return self._solve(self._learnt.sum(axis=0)[picked], ridge)[self._bank :]
@@ -226,7 +224,7 @@ def _correlate(rows: Rows, columns: Array) -> float:
     return float(np.clip(alike, 0.0, MOST_ALIKE))
 
 
-def difference(x: Array, alike: float, begins: NDArray[np.bool_]) -> Array:
+def difference(x: Array, alike: float, begins: Mask) -> Array:
     """Return rows [m, J] less `alike` times the row before; the first of a stretch shrinks."""
     y = x.copy()
     y[1:] -= alike * x[:-1]
@@ -239,7 +237,7 @@ def _list_loaded(data: BankData) -> list[int]:
     return [int(g) for g in np.unique(data.run_group[data.loaded])]
 
 
-def _split(data: BankData) -> list[NDArray[np.bool_]]:
+def _split(data: BankData) -> list[Mask]:
     """Return rows [m] of which each part is left out in turn, and those that never are, the last.
 
     Parts are loaded runs; of a single one, blocks of time.
@@ -305,7 +303,7 @@ class PreparedBank:
     rows: Rows
     """The same, targets without what loads add."""
     loads: LoadPart
-    kept: NDArray[np.int64]
+    kept: IntArray
     """Physical features that move."""
 
 
@@ -357,7 +355,7 @@ def prepare(
     physics: PhysicalModel,
     runs: Sequence[Run],
     sources: Sequence[str],
-    logged: Sequence[NDArray[np.bool_]] = (),
+    logged: Sequence[Mask] = (),
 ) -> PreparedBank:
     """Return the rows of the fit, weighted by their noise, without what loads add.
 
@@ -393,7 +391,7 @@ def prepare(
 
 def _take_off(
     raw: Rows,
-    kept: NDArray[np.int64],
+    kept: IntArray,
     physics: PhysicalModel,
     runs: Sequence[Run],
     lags: Sequence[Lag],
@@ -543,7 +541,7 @@ def _settle_constant(
     fitted: FittedBank,
     physics: PhysicalModel,
     runs: Sequence[Run],
-    logged: Sequence[NDArray[np.bool_]],
+    logged: Sequence[Mask],
 ) -> FittedBank:
     """Return the bank with its constant at the mean of what is left, each run counting once."""
     if not fitted.tared:

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.train.lag_bank.data import DEGREE, BankData, Lag
 
 # Variable projection: the linear part exactly, everything else by Levenberg-Marquardt.
 #
 # Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973); Kaufman, BIT 15 (1975).
 
-Places = NDArray[np.int64]
 
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
 RAISE, LOWER = 4.0, 6.0
@@ -31,9 +29,9 @@ class Columns:
 
     phi: Array  # [m, J]
     slopes: Array  # [m, S]
-    of_theta: Places
+    of_theta: IntArray
     """[S] the theta that a slope belongs to."""
-    of_column: Places
+    of_column: IntArray
     """[S] the column that it is the slope of."""
 
 
@@ -169,7 +167,7 @@ class Rows:
         return np.concatenate([ones, data.others, *levels], axis=1)
 
     @property
-    def everything(self) -> NDArray[np.bool_]:
+    def everything(self) -> Mask:
         """[m] all rows."""
         return np.ones(len(self.weight), dtype=bool)
 
@@ -178,11 +176,11 @@ class Rows:
         own = [self.data.lag(lag)[:, :degree] for lag in lags]
         return np.concatenate([self.fixed, *own], axis=1)
 
-    def take(self, some: NDArray[np.bool_]) -> "RowsPart":
+    def take(self, some: Mask) -> "RowsPart":
         """Return the part of a fit that some rows [m] are."""
         return RowsPart(self, some)
 
-    def prepare(self, columns: Array, some: NDArray[np.bool_]) -> Array:
+    def prepare(self, columns: Array, some: Mask) -> Array:
         """Return some rows of columns [m, J], centred where runs are tared, weighted."""
         part = self.take(some)
         return part.prepare(part.cut(columns))
@@ -196,7 +194,7 @@ class RowsPart:
         some: [m] which of them.
     """
 
-    def __init__(self, rows: Rows, some: NDArray[np.bool_]) -> None:
+    def __init__(self, rows: Rows, some: Mask) -> None:
         self._places = slice(None) if some.all() else np.flatnonzero(some)
         weight = rows.weight[self._places]
         self.weight = float(weight.sum())

@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.runs import Run
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
 from zerodrift.train.lag_bank.data import DEGREE, Lag
@@ -48,7 +47,7 @@ class Member:
         return np.asarray(columns @ self.linear + hidden @ self.head)
 
 
-def fit_linear(rows: Rows, columns: Array, ridge: float, some: NDArray[np.bool_]) -> Member:
+def fit_linear(rows: Rows, columns: Array, ridge: float, some: Mask) -> Member:
     """Return the linear part alone, fitted to some of the rows."""
     part = rows.take(some)
     f, y = (part.prepare(part.cut(x)) for x in (columns, rows.targets))
@@ -63,7 +62,7 @@ def fit_member(
     ridge: float,
     count: int,
     seed: Sequence[int],
-    some: NDArray[np.bool_],
+    some: Mask,
     steps: int = STEPS,
 ) -> Member:
     """Return `count` units and the linear part beside them, fitted from one random start.
@@ -116,13 +115,13 @@ def fit_member(
     return Member(weights, solved[: f.shape[1]], solved[f.shape[1] :])
 
 
-def split_folds(rows: Rows) -> list[NDArray[np.bool_]]:
+def split_folds(rows: Rows) -> list[Mask]:
     """Return which rows [m] each of a few folds leaves out; whole groups, spread evenly."""
     groups = np.arange(rows.data.groups)
     return [np.isin(rows.data.group, groups[i::FOLDS]) for i in range(min(FOLDS, rows.data.groups))]
 
 
-def measure_left_out(rows: Rows, fit: Callable[[NDArray[np.bool_]], Callable[[], Array]]) -> float:
+def measure_left_out(rows: Rows, fit: Callable[[Mask], Callable[[], Array]]) -> float:
     """Return the RMSE in units on covered rows of folds left out, every run counting once.
 
     Infinite where no row is covered.
@@ -203,7 +202,7 @@ class Trial:
         features = np.concatenate([self.front_end.compute(run) for run in runs])
         self._features = rows.data.average(features)
 
-    def fit(self, seed: Sequence[int], some: NDArray[np.bool_], steps: int = STEPS) -> Member:
+    def fit(self, seed: Sequence[int], some: Mask, steps: int = STEPS) -> Member:
         """Return the units from one start, fitted to some of the rows [m]."""
         rows, columns, features = self._rows, self._columns, self._features
         return fit_member(rows, columns, features, self.ridge, self.count, seed, some, steps)
@@ -211,7 +210,7 @@ class Trial:
     def measure(self, seed: Sequence[int]) -> float:
         """Return the error on runs left out, in units of the drift."""
 
-        def learn(some: NDArray[np.bool_]) -> Callable[[], Array]:
+        def learn(some: Mask) -> Callable[[], Array]:
             member = self.fit(seed, some, STEPS_ASKED)
             return lambda: member.predict(self._columns, self._features)
 
@@ -248,7 +247,7 @@ def choose_units(
     if not count:
         return Choice(bank.lags, bank.ridge, DEGREE, alone, None, None)
 
-    def learn(some: NDArray[np.bool_]) -> Callable[[], Array]:
+    def learn(some: Mask) -> Callable[[], Array]:
         member = fit_linear(rows, columns, bank.ridge, some)
         return lambda: columns @ member.linear
 

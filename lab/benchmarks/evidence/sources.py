@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.evidence.conditions import Ask
 from benchmarks.foreign import case as foreign_case
@@ -15,13 +14,13 @@ from benchmarks.hidden.cases import Case, make_recipe, read_simulation
 from benchmarks.third_simulator import Case as ThirdCase
 from benchmarks.third_simulator import Log, draw_case
 from benchmarks.third_simulator.noise import draw_noise
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config, load_config, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.load import load_dataset
 from zerodrift.dataset.runs import Dataset, Run
 from zerodrift_lab.twin.simulate import simulate
 
-Array = NDArray[np.float64]
 TEST_RUNS = 2
 
 

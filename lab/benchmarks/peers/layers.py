@@ -4,13 +4,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bench_kernels import HIDDEN, INPUTS
+from zerodrift.base.arrays import Array
 from zerodrift.operations.gru.cell import FloatGru
 from zerodrift.operations.lstm.cell import FloatLstm
 
-Array = NDArray[np.float64]
 LARGEST = 4.0
 """|x| of every input is below it."""
 STEPS = 2000

@@ -7,15 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_kernels import HIDDEN, OUTPUTS, draw_fast_float
-from benchmarks.bench_recurrent import wrap_lstm
 from benchmarks.peers.chip import Program
 from benchmarks.peers.layers import Array, Task
 from zerodrift.c_runtime.host import write_sources
 from zerodrift.codegen.generate import generate
-from zerodrift.export.onnx_reader import FloatNetwork
-from zerodrift.export.quantize import FEATURE_HEADROOM, quantize
-from zerodrift.operations.arithmetic import INT16_MAX, choose_exponent
-from zerodrift.operations.gru.cell import FloatGru
+from zerodrift.export.float_network import FloatNetwork
+from zerodrift.export.quantize import choose_feature_exponents, quantize
 
 _MAIN = """#include "{prefix}.c"
 #include "zd_runtime.c"
@@ -34,16 +31,11 @@ CALLS = {
 def write_ours(task: Task, weights: str, folder: Path) -> Program:
     """Return the layer of a generated model with weights "int16" or "int8"."""
     drawn, head = draw_fast_float(), np.ones((OUTPUTS, HIDDEN))
-    network = (
-        FloatNetwork(task.cell, head, np.zeros(OUTPUTS))
-        if isinstance(task.cell, FloatGru)
-        else wrap_lstm(task.cell, head)
-    )
+    network = FloatNetwork.stack((task.cell,), head, np.zeros(OUTPUTS))
     model = replace(drawn.model, network=network)
     code = generate(quantize(model, drawn.calibration, weights))
     write_sources(code, folder)
-    largest = FEATURE_HEADROOM * float(drawn.calibration.feature_max.max())
-    exponent = min(choose_exponent(largest, INT16_MAX), 15)
+    exponent = int(choose_feature_exponents(drawn.calibration).min())
 
     def encode(x: Array) -> NDArray[np.generic]:
         return np.round(x * 2.0**exponent).astype("<i2")

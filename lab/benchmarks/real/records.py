@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.dataset.load import load_dataset
 
-Array = NDArray[np.float64]
 LIST = Path(__file__).with_name("records.toml")
 
 

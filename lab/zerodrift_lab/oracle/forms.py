@@ -14,7 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
+
 DAY_S = 86400.0
 CHIP = "temperature"
 BODIES = ("body_1", "body_2")

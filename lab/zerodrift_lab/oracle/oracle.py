@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift_lab.oracle.forms import (
     BEND,
     BLOCK,
@@ -30,7 +31,6 @@ from zerodrift_lab.oracle.forms import (
     LINE,
     MOST_EFFECTS,
     SLOW_S,
-    Array,
     SetPrior,
     leave_polynomial,
     rms,

@@ -7,10 +7,9 @@ shares nothing with the code that fits models to them.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from zerodrift.base.arrays import Array
 
 
 def relax(signal: Array, tau_s: float, step_s: float, start: Array | float | None = None) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[np.generic]], *, compressed: bool) -> bytes:

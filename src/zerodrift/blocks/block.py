@@ -17,9 +17,10 @@ from datetime import date, timedelta
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import InputError
 from zerodrift.blocks.design import FORMAT_OF_BLOCK, BlockDesign, find_outside
-from zerodrift.blocks.fields import TYPES, Numbers, put, read
+from zerodrift.blocks.fields import TYPES, put, read
 from zerodrift.export.integer_model import IntegerModel
 
 MAGIC = 0x4B42445A
@@ -69,7 +70,7 @@ class UnitBlock:
     notes: BlockNotes
     answers: int
     """CRC-32 of the answers that the self-test has to give."""
-    numbers: Mapping[str, Numbers]
+    numbers: Mapping[str, IntArray]
     crc: int
     size: int
 
@@ -106,7 +107,7 @@ def encode(design: BlockDesign, model: IntegerModel, notes: BlockNotes, answers:
 
 
 def encode_numbers(
-    design: BlockDesign, numbers: Mapping[str, Numbers], notes: BlockNotes, answers: int
+    design: BlockDesign, numbers: Mapping[str, IntArray], notes: BlockNotes, answers: int
 ) -> bytes:
     """Return a block of any numbers that fit their types, admissible or not."""
     serial = notes.serial.encode()

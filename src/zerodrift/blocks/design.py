@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.base.records import Json, from_json, to_json
 from zerodrift.blocks.align import ROW_BIAS, align, most_norm
-from zerodrift.blocks.fields import TYPES, FieldPlace, Numbers, list_places, put, read
+from zerodrift.blocks.fields import TYPES, FieldPlace, list_places, put, read
 from zerodrift.blocks.gru import count_pairs, find_overflow
 from zerodrift.blocks.proof import BlockField, prove_set
 from zerodrift.export.integer_model import FORMAT, IntegerModel, canonical_json
@@ -132,7 +133,7 @@ class BlockDesign:
         return canonical_json(body) + "\n"
 
 
-def find_outside(field: BlockField, numbers: Numbers) -> str:
+def find_outside(field: BlockField, numbers: IntArray) -> str:
     """Return why numbers are not within a field's part of the set; "" if they are."""
     low, high = int(numbers.min(initial=field.high)), int(numbers.max(initial=field.low))
     if low < field.low or high > field.high:

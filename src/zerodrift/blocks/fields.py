@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.blocks.gru import BIASES, STREAM, count_pairs, put_stream, read_stream
 from zerodrift.export.integer_model import Guards, IntegerModel
 from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN
@@ -27,7 +27,6 @@ from zerodrift.operations.play import IntegerPlay
 from zerodrift.operations.product import IntegerProduct
 from zerodrift.operations.sum import IntegerSum
 
-Numbers = NDArray[np.int64]
 TYPES = {"i64": "<i8", "i32": "<i4", "i16": "<i2", "u8": "u1"}
 """A field's type and how its numbers lie in a block."""
 C_TYPES = {"i64": "int64_t", "i32": "int32_t", "i16": "int16_t", "u8": "uint8_t"}
@@ -140,7 +139,7 @@ def _list_limits(nodes: Sequence[IntegerNode]) -> Iterator[FieldPlace]:
         yield FieldPlace(nodes[0].name, "high", "i32")
 
 
-def read(model: IntegerModel, place: FieldPlace) -> Numbers:
+def read(model: IntegerModel, place: FieldPlace) -> IntArray:
     """Return a model's numbers at a place, in its shape."""
     if place.node == GUARDS:
         told = _read_guards(model.guards, place.attribute)
@@ -158,10 +157,10 @@ def _read_guards(guards: Guards, attribute: str) -> int | list[int]:
     return int(getattr(guards, attribute))
 
 
-def put(model: IntegerModel, numbers: Mapping[FieldPlace, Numbers]) -> IntegerModel:
+def put(model: IntegerModel, numbers: Mapping[FieldPlace, IntArray]) -> IntegerModel:
     """Return a model with other numbers at places."""
     by_node: dict[str, dict[str, object]] = {}
-    guards: dict[str, Numbers] = {}
+    guards: dict[str, IntArray] = {}
     for place, found in numbers.items():
         if place.node == GUARDS:
             guards[place.attribute] = found
@@ -186,7 +185,7 @@ def _put_node(node: IntegerNode, numbers: Mapping[str, object]) -> IntegerNode:
     return replace(node, **changed) if changed else node  # type: ignore[arg-type]  # by field names
 
 
-def _put_guards(guards: Guards, numbers: Mapping[str, Numbers]) -> Guards:
+def _put_guards(guards: Guards, numbers: Mapping[str, IntArray]) -> Guards:
     for name, found in numbers.items():
         if name in ("range_low", "range_high"):
             end = 1 if name == "range_low" else 2

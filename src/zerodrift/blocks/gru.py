@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
@@ -31,8 +30,6 @@ from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import ChannelNode, IntegerNode
 
 # A GRU's weights in a coarser format: rounded row by row together, for the states that occur.
-
-Numbers = NDArray[np.int64]
 
 
 RUNS, STEPS = 32, 600
@@ -50,16 +47,16 @@ DAMPING = 1e-3
 class Visits:
     """What a layer's sums are made of, from step to step."""
 
-    x: Numbers
+    x: IntArray
     """[n, I] features."""
-    h: Numbers
+    h: IntArray
     """[n, H] the states' copies."""
 
 
 def visit(model: IntegerModel, layer: IntegerGruLayer) -> Visits:
     """Return features and states of a unit under drawn inputs within what it was calibrated in."""
     bare = replace(model, channels=tuple(replace(c, conversion=None) for c in model.channels))
-    steps, seen = max(STEPS, layer.window), list[Numbers]()
+    steps, seen = max(STEPS, layer.window), list[IntArray]()
     Reference(bare).run(
         draw_codes(bare, steps), observe=lambda _, values: seen.append(values[layer.inputs[0]])
     )
@@ -76,7 +73,7 @@ def visit(model: IntegerModel, layer: IntegerGruLayer) -> Visits:
     return Visits(x.reshape(-1, x.shape[2]), np.stack(copies, axis=1).reshape(-1, layer.width))
 
 
-def draw_codes(model: IntegerModel, steps: int) -> Numbers:
+def draw_codes(model: IntegerModel, steps: int) -> IntArray:
     """Return ramps and dwells of every input [RUNS, steps, C], always the same."""
     rng = np.random.default_rng(0)
     codes = np.empty((RUNS, steps, len(model.channels)), dtype=np.int64)
@@ -103,7 +100,7 @@ def _find_range(model: IntegerModel, channel: int) -> tuple[int, int, float]:
     return low, high, max(OTHER_RATE * (high - low), 1)
 
 
-def _draw_ramps(low: int, high: int, rate: float, steps: int, rng: np.random.Generator) -> Numbers:
+def _draw_ramps(low: int, high: int, rate: float, steps: int, rng: np.random.Generator) -> IntArray:
     now, found = rng.uniform(low, high), list[float]()
     while len(found) < steps:
         to, slope = rng.uniform(low, high), rate * SLOWEST ** rng.random()
@@ -113,7 +110,7 @@ def _draw_ramps(low: int, high: int, rate: float, steps: int, rng: np.random.Gen
     return np.asarray(np.clip(np.round(found[:steps]), low, high), dtype=np.int64)
 
 
-def round_rows(rows: Array, inputs: Numbers) -> tuple[Numbers, Numbers]:
+def round_rows(rows: Array, inputs: IntArray) -> tuple[IntArray, IntArray]:
     """Return rows in whole numbers, and what is to be added to their biases.
 
     Args:
@@ -171,12 +168,12 @@ def count_pairs(gru: IntegerGru) -> tuple[int, int]:
     return -(-gru.inputs // 2), -(-gru.hidden // 2)
 
 
-def read_stream(gru: IntegerGru) -> Numbers:
+def read_stream(gru: IntegerGru) -> IntArray:
     """Return the numbers of a layer as they lie in a block, unit by unit: [H, 4 + 3 (X + R)]."""
     return np.array(lay_out_pairs(gru), dtype=np.int64).reshape(gru.hidden, -1)
 
 
-def put_stream(gru: IntegerGru, stream: Numbers) -> IntegerGru:
+def put_stream(gru: IntegerGru, stream: IntArray) -> IntegerGru:
     """Return a layer with the numbers of a block."""
     bias, *parts = _split(stream, count_pairs(gru))
     w_x, w_h = (np.moveaxis(part, 0, 1).astype(np.int16) for part in parts)
@@ -188,7 +185,7 @@ def put_stream(gru: IntegerGru, stream: Numbers) -> IntegerGru:
     )
 
 
-def _split(stream: Numbers, pairs: tuple[int, int]) -> tuple[Numbers, Numbers, Numbers]:
+def _split(stream: IntArray, pairs: tuple[int, int]) -> tuple[IntArray, IntArray, IntArray]:
     """Return biases [H, 4] and the weights of features and state, [H, 3, 2 X] and [H, 3, 2 R]."""
     words = stream.reshape(-1, BIASES + 3 * sum(pairs))
     parts, at = [], BIASES
@@ -200,7 +197,7 @@ def _split(stream: Numbers, pairs: tuple[int, int]) -> tuple[Numbers, Numbers, N
     return words[:, :BIASES], parts[0], parts[1]
 
 
-def find_overflow(stream: Numbers, pairs: tuple[int, int]) -> str:
+def find_overflow(stream: IntArray, pairs: tuple[int, int]) -> str:
     """Return which sum of a stream could leave 32 bits; "" if none can.
 
     Args:
@@ -214,7 +211,7 @@ def find_overflow(stream: Numbers, pairs: tuple[int, int]) -> str:
     return ""
 
 
-def _bound_rows(bias: Numbers, w_x: Numbers, w_h: Numbers) -> list[Numbers]:
+def _bound_rows(bias: IntArray, w_x: IntArray, w_h: IntArray) -> list[IntArray]:
     """Return the largest sums of r, u and n (there the larger of both), [H] each."""
     x, h = (UNIT * np.abs(w).sum(axis=2) for w in (w_x, w_h))
     size = np.abs(bias)
@@ -340,7 +337,7 @@ def refine(own: IntegerGru, aligned: IntegerGru, visits: Visits) -> IntegerGru:
     )
 
 
-def _coarsen(numbers: Numbers, bits: int) -> Numbers:
+def _coarsen(numbers: IntArray, bits: int) -> IntArray:
     """Return numbers / 2^bits, to the nearest integers, halves upwards."""
     return np.asarray((numbers + (1 << bits >> 1)) >> bits)
 

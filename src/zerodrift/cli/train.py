@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from zerodrift.base.arrays import Array
 from zerodrift.cli.common import (
     as_request,
     directory_option,
@@ -25,8 +26,6 @@ from zerodrift.tasks.train import TrainRequest, train
 from zerodrift.train.scores import Scores
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
     from rich.console import Console
 
 
@@ -83,7 +82,7 @@ def _print_table(scores: Scores, console: "Console") -> None:
     console.print(scores.explanation)
 
 
-def _format(values: "NDArray[np.float64]", k: int, full_scale: float) -> str:
+def _format(values: "Array", k: int, full_scale: float) -> str:
     value = float(values[k])
     if not math.isfinite(value):
         return "-"

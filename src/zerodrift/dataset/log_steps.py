@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.chip_codes import MEASURED, TEMPERATURE
@@ -25,7 +25,7 @@ FEWEST_ROWS = 2
 """Of a run; one row has no period."""
 
 
-StepOfRow = NDArray[np.int32] | NDArray[np.int64]
+StepOfRow = NDArray[np.int32] | IntArray
 MOST_SHORT = 2**31 - 1
 """Steps that int32 can number."""
 

@@ -14,11 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array, Mask, find_median, find_quantile
-
-IntArray = NDArray[np.int64]
+from zerodrift.base.arrays import Array, IntArray, Mask, find_median, find_quantile
 
 WHOLE, NOTHING = 6.0, 10.0
 """Distances from the neighbours, in spreads of such distances, up to which a sample has its whole

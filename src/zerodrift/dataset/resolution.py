@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 
 DIGITS = 1e-8
 """What is smaller than this share of a value is its arithmetic's, not the sensor's."""
@@ -57,7 +57,7 @@ def _measure_decimals(values: Array, largest: float) -> float:
     return 0.0
 
 
-def count_codes(values: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
+def count_codes(values: Array) -> tuple[Array, NDArray[np.intp], Mask]:
     """Return the different values [m] in order, how often each is met, and whether it is a code.
 
     A code recurs. Rows between two samples are mixtures of two codes and seldom do.

@@ -7,9 +7,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.outliers import Outliers, weigh_samples
 from zerodrift.dataset.resolution import measure_resolution
 
@@ -256,7 +255,7 @@ def predict_along(predict: Callable[[Run], Array], run: Run) -> Array:
     return predict(_lay_run(chain, bridges))[starts[-1] :]
 
 
-def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[NDArray[np.bool_]]]:
+def join_stretches(runs: Sequence[Run]) -> tuple[list[Run], list[Mask]]:
     """Return runs in one piece each, and which samples [n] of each are those of `runs`.
 
     Args:

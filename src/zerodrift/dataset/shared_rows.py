@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array, find_median
+from zerodrift.base.arrays import Array, IntArray, Mask, find_median
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.checks import locate_row
@@ -171,7 +171,6 @@ class ReadRuns:
 # the alignments that two runs may share, and only these are looked at again row by row.
 
 Codes = NDArray[np.uint64]
-Rows = NDArray[np.int64]
 
 LEAST_ROWS = 30
 """Fewer rows that agree are told by nobody."""
@@ -249,7 +248,7 @@ def mark_run(columns: Sequence[Array]) -> Marks:
         columns: its measured columns, each [n], as logged; those without noise are passed over.
     """
     codes: list[Codes] = []
-    at: list[Rows] = []
+    at: list[IntArray] = []
     bits: list[NDArray[np.float32]] = []
     marked = 0
     for number, values in enumerate(columns):
@@ -337,7 +336,7 @@ def find_alignments(marks: Sequence[Marks], groups: Sequence[object]) -> list[Al
     sizes = np.diff(np.append(starts, codes.size))
     usable = np.repeat((sizes > 1) & (sizes <= MOST_ALIKE), sizes)
     codes, run, at, bits = codes[usable], run[usable], at[usable], bits[usable]
-    found: list[tuple[Rows, ...]] = []
+    found: list[tuple[IntArray, ...]] = []
     for lag in range(1, MOST_ALIKE):
         same = np.flatnonzero(codes[lag:] == codes[:-lag])
         if same.size == 0:
@@ -413,10 +412,10 @@ def _choose_levels(values: Array) -> dict[int, float]:
     return levels
 
 
-def _mark_column(values: Array, step: float, salt: int) -> tuple[Codes, Rows]:
+def _mark_column(values: Array, step: float, salt: int) -> tuple[Codes, IntArray]:
     """Return the hashes of the windows that are kept and their first rows."""
     codes: list[Codes] = []
-    rows: list[Rows] = []
+    rows: list[IntArray] = []
     overlap = WINDOW + NEIGHBOURS
     for start in range(0, max(values.size - WINDOW, 0), BLOCK):
         block = values[start : start + BLOCK + overlap]
@@ -442,7 +441,7 @@ def _mark_column(values: Array, step: float, salt: int) -> tuple[Codes, Rows]:
     return np.concatenate(codes), np.concatenate(rows)
 
 
-def _hash_windows(steps: Rows, salt: int) -> tuple[Codes, NDArray[np.bool_]]:
+def _hash_windows(steps: IntArray, salt: int) -> tuple[Codes, Mask]:
     """Return a hash of each window's increments, and whether enough of them move."""
     increments = np.diff(steps).astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     increments ^= increments >> np.uint64(29)
@@ -512,7 +511,7 @@ def _compare(alignment: Alignment, our_run: ReadRun, their_run: ReadRun) -> list
     return shared
 
 
-def _find_stretches(agree: NDArray[np.bool_]) -> Rows:
+def _find_stretches(agree: Mask) -> IntArray:
     """Return [m, 2] first row, and the one after the last, of stretches that are long enough."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], agree, [False]]))).reshape(-1, 2)
     return edges[edges[:, 1] - edges[:, 0] >= LEAST_ROWS]

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.errors import InputError, nearest
 from zerodrift.base.files import name_kind
 from zerodrift.dataset.selectors import ARROW_SUFFIXES, PARQUET_SUFFIXES
@@ -273,7 +273,7 @@ class LogTable:
         """Return the number of rows."""
         return next((int(column.size) for column in self.columns.values()), 0)
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> None:
+    def take(self, rows: NDArray[np.intp] | Mask) -> None:
         """Keep only `rows` (positions or a mask), in that order."""
         kept = self.positions[rows]
         for name in self.columns:

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.evidence import FEWEST_COEFFICIENTS, SURE_NATS
 from zerodrift.diagnosis.examination import TIME_ALONE
@@ -51,13 +50,13 @@ class Whitening:
     """How block means of one log become white coefficients without the mean."""
 
     octaves: Octaves
-    keep: NDArray[np.bool_]
+    keep: Mask
     """Its rows but for the mean."""
     scale: Array
     """[K', R] one over the noise of each coefficient."""
 
     @property
-    def octave(self) -> NDArray[np.int64]:
+    def octave(self) -> IntArray:
         """[R] the number of each coefficient's octave, larger is slower."""
         return self.octaves.octave[self.keep]
 
@@ -473,7 +472,7 @@ def _rest(models: Array, truths: Array) -> Array:
     return np.asarray(truths - q @ (np.swapaxes(q, -1, -2) @ truths))
 
 
-def _count_nats(squares: Array, noise: Array, counts: Array, octaves: NDArray[np.int64]) -> Array:
+def _count_nats(squares: Array, noise: Array, counts: Array, octaves: IntArray) -> Array:
     """Return [M] by how much each octave's noise grows without an effect, in log-likelihood.
 
     The slowest octaves share a variance until they have coefficients enough, as in `diagnose`.

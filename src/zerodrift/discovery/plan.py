@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
@@ -213,7 +212,7 @@ def _tell(scene: Scene, told: Told, left: Sequence[Array]) -> Told:
     )
 
 
-def choose_forms(gain: Array, nearest: Array) -> NDArray[np.int64]:
+def choose_forms(gain: Array, nearest: Array) -> IntArray:
     """Return [T] the simplest form of a rival that gains about as much as its best one.
 
     Args:

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 
 # The noise of means over blocks of time: white, flicker, and noise with a memory of hours.
 #
@@ -31,7 +30,7 @@ class BlockTimes(Protocol):
     """When blocks were, in whole blocks, and how many samples each holds."""
 
     @property
-    def place(self) -> NDArray[np.int64]:
+    def place(self) -> IntArray:
         """[n] number of the block, counted from 1970."""
         ...
 

@@ -18,16 +18,13 @@ from itertools import product
 
 import numpy as np
 from numpy.polynomial.legendre import legval
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.field.noise import BlockNoise, fit_noise
 from zerodrift.field.watch import SURE, UNLIKE, WAIT_S, BlockMeans, Learned, Rules
-
-Counts = NDArray[np.int64]
 
 FALSE_NAME = 1.0 - SURE
 """Chance of a name although another unit is in place, however many are known."""
@@ -87,7 +84,7 @@ class UnitsWeighed:
     """[u] that of a unit which nobody knows, drawn in one of several ways."""
     needed: Array
     """[u] log ratio of the two that a name needs: more than strangers reach."""
-    is_noise: NDArray[np.bool_]
+    is_noise: Mask
     """[u] whether no more than the noise is left."""
 
 
@@ -181,7 +178,7 @@ class _Left:
 class _Way:
     """One of the ways in which the drift may be what it is, for some of the units."""
 
-    chosen: NDArray[np.bool_]
+    chosen: Mask
     """[u] units that foretell the drift with this uncertainty."""
     share: int
     """Place in `MISFITS`."""
@@ -287,8 +284,8 @@ def _list_ways(
 
 
 def _weigh(
-    each: Sequence[tuple[_Left, list[_Way]]], drift: Array, apart: Array, looks: Counts
-) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    each: Sequence[tuple[_Left, list[_Way]]], drift: Array, apart: Array, looks: IntArray
+) -> tuple[Array, Array, Mask, Array]:
     """Return what some drifts tell of each unit.
 
     Args:
@@ -327,7 +324,7 @@ def _weigh(
     return own, unknown, is_noise, by_way
 
 
-def _is_noise(white: Array, given: _Left) -> NDArray[np.bool_]:
+def _is_noise(white: Array, given: _Left) -> Mask:
     """Return which of some units [u] leave no more than noise, by what is left [n, u], whitened."""
     if given.before < FEWEST:
         return np.ones(white.shape[1], dtype=bool)
@@ -337,7 +334,7 @@ def _is_noise(white: Array, given: _Left) -> NDArray[np.bool_]:
 
 
 def _likelihood(
-    factor: Array, deviation: Array, apart: Array, given: _Left, looks: Counts
+    factor: Array, deviation: Array, apart: Array, given: _Left, looks: IntArray
 ) -> tuple[Array, Array]:
     """Return log likelihoods [l, d, u] of deviations [n, d] after each look, and those of the first
     [n, u] whitened.
@@ -364,7 +361,7 @@ def _find_needed(
     apart: Array,
     best: int,
     by_way: Array,
-    looks: Counts,
+    looks: IntArray,
     spent: Array,
 ) -> float:
     """Return the log ratio against a stranger that one unit needs to be named.

@@ -11,10 +11,9 @@ run lengths of an optimal method of detecting a change in distribution, Ann. Sta
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.field.noise import BlockNoise, fit_noise
 
 STEP, AGEING, OTHER_MODEL, OTHER_UNIT = CAUSES = ("step", "ageing", "other model", "other unit")
@@ -62,7 +61,7 @@ EXCESS = 0.2
 class BlockMeans:
     """Means over blocks of time."""
 
-    place: NDArray[np.int64]
+    place: IntArray
     """[n] number of the block, counted from 1970; rises."""
     count: Array
     """[n] samples in it."""
@@ -71,7 +70,7 @@ class BlockMeans:
     temperature: Array
     """[n] as a share of the calibrated range: -1 .. 1 inside."""
 
-    def take(self, chosen: NDArray[np.int64]) -> "BlockMeans":
+    def take(self, chosen: IntArray) -> "BlockMeans":
         """Return some of the blocks."""
         values = (self.count, self.residual, self.temperature)
         count, residual, temperature = (one[chosen] for one in values)
@@ -175,7 +174,7 @@ class _Ratios:
 class _Times:
     """Times of change that are weighed, each for itself and the time around it."""
 
-    begin: NDArray[np.int64]
+    begin: IntArray
     """[m] first block that holds the change."""
     onset: Array
     """[m] when it begins, in numbers of blocks."""
@@ -404,7 +403,7 @@ def _weigh_one(
 
 
 def _list_times(
-    place: NDArray[np.int64], begin: int, grid: int, alarm: int | None, *, is_slow: bool
+    place: IntArray, begin: int, grid: int, alarm: int | None, *, is_slow: bool
 ) -> _Times:
     """Return the times of change that are weighed.
 
@@ -439,7 +438,7 @@ def _list_times(
     return _Times(np.searchsorted(place, onset), onset, low, high, onset - low)
 
 
-def _span_first(place: NDArray[np.int64], begin: int) -> tuple[float, ...]:
+def _span_first(place: IntArray, begin: int) -> tuple[float, ...]:
     """Return the numbers of `_Times` of what was so from the first block on, or while learning."""
     first = float(place[0])
     return 0, first, first, float(place[min(begin, place.size - 1)]), 1.0
@@ -594,7 +593,7 @@ def join_blocks(older: BlockMeans, newer: BlockMeans) -> BlockMeans:
     )
 
 
-def _take_median(table: Array, count: NDArray[np.int64]) -> Array:
+def _take_median(table: Array, count: IntArray) -> Array:
     """Return the median of the first `count` values of each row; the others are infinite."""
     ranked = np.sort(table, axis=1)
     rows = np.arange(len(table))

@@ -10,7 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-IntArray = NDArray[np.int64]
+from zerodrift.base.arrays import Array, IntArray
+
 CodeArray = NDArray[np.signedinteger]
 """Raw input codes: int16, or int32 where a channel needs it."""
 Whole = TypeVar("Whole", int, IntArray, NDArray[np.int32])
@@ -45,7 +46,7 @@ def saturate(x: Whole, low: Whole | int, high: Whole | int) -> Whole:
     return np.minimum(np.maximum(x, low), high)
 
 
-def matmul_exact(vector: CodeArray, matrix_t: NDArray[np.float64]) -> IntArray:
+def matmul_exact(vector: CodeArray, matrix_t: Array) -> IntArray:
     """Return the integer product vector @ matrix_t, computed by float64 BLAS without any rounding.
 
     Args:

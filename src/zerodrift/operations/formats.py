@@ -5,8 +5,8 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import choose_exponent
 from zerodrift.operations.intervals import Interval
@@ -98,7 +98,7 @@ class FormattedNodes:
     def format_row(
         self,
         signals: Sequence[Signal],
-        row: NDArray[np.float64],
+        row: Array,
         constant: float,
         where: str,
         widest: int = 2**61,

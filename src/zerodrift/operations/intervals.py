@@ -5,9 +5,7 @@ from fractions import Fraction
 from functools import cache
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError
 
 # Rational lower and upper bounds of exponentials, logarithms and powers, for proofs.
@@ -234,7 +232,7 @@ def check_limits(where: str, low: int, high: int) -> Interval:
 
 
 def bound_row(
-    where: str, row: NDArray[np.int64], bias: int, inputs: list[Interval], bits: int
+    where: str, row: IntArray, bias: int, inputs: list[Interval], bits: int
 ) -> tuple[Interval, Bound]:
     """Return the interval of bias + row . inputs and a bound that covers every partial sum.
 

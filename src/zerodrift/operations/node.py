@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import NoRuleError
-from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import CTable, RuntimePart, StateField
 from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.intervals import Bound, Interval, Shift

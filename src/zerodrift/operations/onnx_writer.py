@@ -19,7 +19,7 @@ import onnx
 from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.base.arrays import IntArray
 
 OPSET, IR_VERSION = 17, 8
 Shape = tuple[str | int, ...]

@@ -6,7 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.intervals import (
     Bound,
     Interval,

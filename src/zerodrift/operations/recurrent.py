@@ -6,8 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError, NoRuleError
-from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray
+from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN
 from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.intervals import Bound, Interval
 from zerodrift.operations.node import IntegerNode, Names, State, Values, Writer

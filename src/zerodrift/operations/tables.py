@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, Wholes, saturate
+from zerodrift.base.arrays import Array, IntArray
+from zerodrift.operations.arithmetic import Wholes, saturate
 from zerodrift.operations.c_text import RuntimePart
 from zerodrift.operations.errors import Known
 from zerodrift.operations.intervals import Range, enclose_exp
@@ -151,7 +152,7 @@ def bound_tanh() -> Fraction:
 
 
 @cache
-def _list_powers() -> NDArray[np.float64]:
+def _list_powers() -> Array:
     """Return e**(2 t 2**-16) of t = 0 .. 2**19 - 1, each within 2**-51 of its size."""
     coarse = [_round_exp(Fraction(2 * i << FINE_BITS, 1 << TABLE_BITS)) for i in range(512)]
     fine = [_round_exp(Fraction(2 * j, 1 << TABLE_BITS)) for j in range(1 << FINE_BITS)]
@@ -167,7 +168,7 @@ class SigmoidError:
 
 
 @cache
-def _list_sigmoid_errors() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _list_sigmoid_errors() -> tuple[Array, Array]:
     """Return running maxima over t = 0 .. 2**19 - 1, of what the table is off by at -t.
 
     The first from 0 on, as a share of table (1 - table); the second from the end, beyond which the

@@ -1,9 +1,9 @@
 """Time between steps with a variable step: in whole microseconds, limited below 2**61."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray
+from zerodrift.base.arrays import IntArray, Mask
+from zerodrift.operations.arithmetic import INT32_MAX
 
 LONGEST_US = 2**61
 """73,000 years: a longer time counts as this one, so that sums of a few fit 64 bits."""
@@ -29,9 +29,7 @@ def count_bits(x: IntArray) -> IntArray:
     return np.asarray(np.searchsorted(_POWERS, x, side="right"), dtype=np.int64)
 
 
-def exceeds_rate(
-    change: IntArray, rate_max: int, span_us: IntArray, period_us: int
-) -> NDArray[np.bool_]:
+def exceeds_rate(change: IntArray, rate_max: int, span_us: IntArray, period_us: int) -> Mask:
     """Return where a change is larger than `rate_max` in each period of a span.
 
     A span shorter than a period counts as one, since codes are whole numbers; for spans of 2**32 us

@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations, NumpyOperations, evaluate
@@ -246,7 +245,7 @@ class Sums:
     """(coordinate, feature) of each slope column."""
     offsets: int
     outputs: int
-    mask: NDArray[np.bool_]
+    mask: Mask
     """[J, K] which output sees which feature."""
 
 
@@ -331,7 +330,7 @@ class Campaign:
         return self.reduction.block
 
     @property
-    def levels(self) -> NDArray[np.int64]:
+    def levels(self) -> IntArray:
         """[L] the octaves."""
         return self.reduction.levels
 
@@ -341,12 +340,12 @@ class Campaign:
         return self.reduction.counts
 
     @property
-    def means(self) -> NDArray[np.bool_]:
+    def means(self) -> Mask:
         """[L] which octaves are the pieces' means."""
         return select_means(self.reduction.levels)
 
     @property
-    def unit_of_piece(self) -> NDArray[np.int64]:
+    def unit_of_piece(self) -> IntArray:
         """[G] the unit of evidence of each piece: its run, or with few runs the piece itself."""
         if self.pieces_per_run == 1:
             return self.run_of_piece

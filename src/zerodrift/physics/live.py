@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.errors import InputError
 from zerodrift.dataset.runs import Dataset, Run
 
@@ -13,13 +14,13 @@ ROUND_OFF = 1e-12
 """Share of the largest reading below which a difference is no movement."""
 
 
-def find_live(runs: Sequence[Run]) -> NDArray[np.bool_]:
+def find_live(runs: Sequence[Run]) -> Mask:
     """Return [K] which outputs move in some run, both in their reading and in their drift."""
     moves = [_moves(run.measured) & _moves(run.drift, run.measured) for run in runs]
     return np.asarray(np.any(moves, axis=0))
 
 
-def _moves(x: NDArray[np.float64], scale: NDArray[np.float64] | None = None) -> NDArray[np.bool_]:
+def _moves(x: Array, scale: Array | None = None) -> Mask:
     """Return [K] which columns of [n, K] are not constant but for round-off."""
     largest = np.abs(x if scale is None else scale).max(axis=0)
     return np.asarray(np.ptp(x, axis=0) > ROUND_OFF * largest)

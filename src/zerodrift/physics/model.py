@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.records import OPTIONAL
 from zerodrift.dataset.runs import Run
 from zerodrift.operations.backend import GraphOperations
@@ -152,7 +151,7 @@ class PhysicalModel:
         knows = any(fitted.term.effect.sets_aside for fitted in self.terms)
         return self.plan.saturated if knows else ()
 
-    def find_usable(self, run: Run) -> NDArray[np.bool_]:
+    def find_usable(self, run: Run) -> Mask:
         """Return [n, K] which samples show the drift.
 
         All of them do unless the model has an effect for a converter's rails (adc_saturation).

@@ -1,9 +1,8 @@
 """Samples at which a converter stood at its rail, where the measured extreme repeats exactly."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.resolution import LEAST_SHARE, count_codes, measure_code
 
 FEWEST_SAMPLES = 5
@@ -87,14 +86,14 @@ def bridge(x: Array, flags: Array) -> Array:
     return np.interp(np.arange(x.size), kept, x[kept])
 
 
-def _is_resolved(measured: Array, between: NDArray[np.bool_], same: float) -> bool:
+def _is_resolved(measured: Array, between: Mask, same: float) -> bool:
     """Return whether noise, and not a trend alone, moves samples from one value to another."""
     step = np.where(np.abs(np.diff(measured)) > same, np.diff(measured), 0.0)
     turns = (step[1:] * step[:-1] < 0.0)[between[2:] & between[1:-1] & between[:-2]]
     return turns.size > 0 and float(turns.mean()) > RESOLVED
 
 
-def _count_next(height: Array, between: NDArray[np.bool_]) -> int:
+def _count_next(height: Array, between: Mask) -> int:
     """Return how often the most frequent value or code next to the extreme is met."""
     if not between.any():
         return 1
@@ -102,14 +101,14 @@ def _count_next(height: Array, between: NDArray[np.bool_]) -> int:
     return int(max(counts[-NEIGHBOURS:].max(), counts[recurring][-NEIGHBOURS:].max(initial=1)))
 
 
-def _measure_stands(unchanged: NDArray[np.bool_]) -> Array:
+def _measure_stands(unchanged: Mask) -> Array:
     """Return for each sample how many samples its unbroken stand lasts, [n] from [n - 1] steps."""
     starts = np.concatenate([[0], np.flatnonzero(~unchanged) + 1])
     lengths = np.diff(np.concatenate([starts, [unchanged.size + 1]]))
     return np.repeat(lengths, lengths).astype(np.float64)
 
 
-def _longest(standing: NDArray[np.bool_]) -> int:
+def _longest(standing: Mask) -> int:
     """Return the length of the longest unbroken stand."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], standing.astype(np.int8), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))

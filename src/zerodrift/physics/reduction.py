@@ -5,13 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 
 # Haar octaves: a run is cut in halves repeatedly, which separates slow from fast parts.
-
-IntArray = NDArray[np.int64]
 
 
 MEANS = -1
@@ -351,6 +348,6 @@ def _plan(
     )
 
 
-def select_means(levels: IntArray) -> NDArray[np.bool_]:
+def select_means(levels: IntArray) -> Mask:
     """Return which levels are the pieces' means."""
     return np.asarray(levels == MEANS)

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.dataset.runs import MOST_TOLD
 from zerodrift.operations.operation import Node
 from zerodrift.physics.campaign import Campaign, Sums
@@ -82,7 +81,7 @@ def find_promising(
     return np.flatnonzero(costs <= limit).tolist()
 
 
-def _compare(table: Array, drift: Array, points: NDArray[np.int64]) -> Array | None:
+def _compare(table: Array, drift: Array, points: IntArray) -> Array | None:
     """Return the cost [S] of each point; None where round-off might count.
 
     Args:

@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.diagnosis.drivers import (
     LAG,
     RATE,
@@ -428,7 +427,7 @@ def _draw_scatter(
 
 
 def _find_branches(
-    view: CauseView, rows: NDArray[np.int64], x: Array
+    view: CauseView, rows: IntArray, x: Array
 ) -> tuple[Array, float, tuple[str, str, str]]:
     """Return the rate that tells ways up from ways down, the rate of rest, and words for them."""
     trace, channel = view.trace, view.against.channel

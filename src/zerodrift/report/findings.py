@@ -10,9 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.records import UNWRITTEN, from_json, to_dict
 from zerodrift.dataset.outliers import COUNTED
 from zerodrift.dataset.runs import Run
@@ -54,7 +53,7 @@ class Trace:
     """[K, n] drift minus model, without the run's own offset."""
     offset: Array
     """[K] what was taken off as the run's own offset; zeros where logs are not tared."""
-    outliers: NDArray[np.int64]
+    outliers: IntArray
     """[M, 2] row and output of each outlier: a sample far off from its neighbours."""
     inputs: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """[C, n] the channels of `Findings.inputs`, in their units."""

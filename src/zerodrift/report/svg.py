@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 
 # A picture as typed parts: panels with lines, dots, bars and marks; `report.svg` draws it.
 
@@ -437,7 +436,7 @@ def _draw_marks(x: Array, y: Array, mark: str, ink: str, size: float) -> str:
 
 def _draw_cloud(panel: Panel, cloud: Cloud) -> str:
     x, y = _find_x(panel, cloud.x), _find_y(panel, cloud.y)
-    inside: NDArray[np.bool_] = (x >= panel.left) & (x <= panel.left + panel.width)
+    inside: Mask = (x >= panel.left) & (x <= panel.left + panel.width)
     inside &= (y >= panel.top) & (y <= panel.top + panel.height)
     x, y = x[inside], y[inside]
     if cloud.mark:

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.dataset.units import is_unix, write_local
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ MOST_POINTS = 1200
 """Points of a line; more samples than that are drawn as the least and largest of each step."""
 
 
-def pick_rows(y: Array, start: int, stop: int, most: int = MOST_POINTS) -> NDArray[np.int64]:
+def pick_rows(y: Array, start: int, stop: int, most: int = MOST_POINTS) -> IntArray:
     """Return the rows of y[start:stop] that make a line of at most `most` points look the same.
 
     Args:
@@ -109,7 +108,7 @@ def pick_rows(y: Array, start: int, stop: int, most: int = MOST_POINTS) -> NDArr
     return np.unique(np.concatenate([np.asarray(r, dtype=np.int64) for r in rows]))
 
 
-def pick_spread(count: int, most: int) -> NDArray[np.int64]:
+def pick_spread(count: int, most: int) -> IntArray:
     """Return at most `most` rows out of `count`, evenly spread, for clouds of points."""
     if count <= most:
         return np.arange(count)
@@ -148,8 +147,8 @@ class TimeAxis:
     @overload
     def place(self, time_s: float) -> float: ...
     @overload
-    def place(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def place(self, time_s: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    def place(self, time_s: Array) -> Array: ...
+    def place(self, time_s: float | Array) -> float | Array:
         """Return where times on the log's clock lie."""
         return (time_s - self.from_s) / self.seconds
 

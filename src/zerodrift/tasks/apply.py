@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from polars.exceptions import PolarsError
 from polars.io.plugins import register_io_source
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.base.config import Config
 from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import CheckError, InputError
@@ -131,7 +131,7 @@ class AppliedRows:
             yield batch.with_columns(self._compute(batch, at, row))
             row += len(batch)
 
-    def _compute(self, batch: pl.DataFrame, at: NDArray[np.int64], row: int) -> list[pl.Series]:
+    def _compute(self, batch: pl.DataFrame, at: IntArray, row: int) -> list[pl.Series]:
         none = at < 0
         step = np.where(none, 0, at)
         flags = self.answers.flags[step]
@@ -158,7 +158,7 @@ class AppliedRows:
         values[: own.size] = own
         return values
 
-    def expand(self, output: str, step: NDArray[np.int64]) -> Array:
+    def expand(self, output: str, step: IntArray) -> Array:
         """Return the expanded uncertainty (k = 2) [n] at some steps, in the output's unit.
 
         NaN where none is known.
@@ -186,7 +186,7 @@ def list_added(model: IntegerModel) -> list[str]:
     return [*(f"{o.name}_{kind}" for o in model.outputs for kind in kinds), FLAGS]
 
 
-def _fill(name: str, values: Array, none: NDArray[np.bool_]) -> pl.Series:
+def _fill(name: str, values: Array, none: Mask) -> pl.Series:
     """Return a column whose missing numbers are null."""
     return pl.Series(name, np.where(none, np.nan, values)).fill_nan(None)
 

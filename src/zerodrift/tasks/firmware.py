@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import FILE_NAME, Config, parse_config
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import show_path
@@ -59,8 +60,7 @@ from zerodrift.verify.uncertainty import FILE_NAME as UNCERTAINTY
 from zerodrift.verify.uncertainty import measure_firmware
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    pass
 
 
 # A network from elsewhere, in an ONNX file, as the compensator of a project.
@@ -355,7 +355,7 @@ def summarise_bound(bound: ErrorBound, model: IntegerModel) -> dict[str, ProvenE
 def summarise_budget(firmware: Firmware) -> BudgetSummary:
     """Return the error by its causes."""
 
-    def name(values: "NDArray[np.float64]") -> dict[str, float]:
+    def name(values: "Array") -> dict[str, float]:
         return {e.name: float(v) for e, v in zip(firmware.errors, values, strict=True)}
 
     budget = firmware.budget

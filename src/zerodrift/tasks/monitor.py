@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.base.files import write_whole
@@ -264,7 +263,7 @@ class Monitor:
         opened: MonitoredLog,
         told: Left,
         time_s: Array,
-        new: NDArray[np.bool_],
+        new: Mask,
         names: Sequence[str],
     ) -> None:
         """Add what is left of some outputs to their means."""
@@ -304,7 +303,7 @@ class Monitor:
         )
         return time_s + shift
 
-    def _count(self, log: MonitoredLog, told: Left, new: NDArray[np.bool_]) -> None:
+    def _count(self, log: MonitoredLog, told: Left, new: Mask) -> None:
         """Count flags and the ranges that the inputs used."""
         model = self.deployed.model
         flags, told_flags = told.flags[new], dict(self.state.flags)

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, Mask
 from zerodrift.base.config import Config, load_config
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.blocks.block import apply, decode
@@ -163,7 +162,7 @@ def _foretell(
     deployed: Deployed,
     chips: Sequence[Chip],
     log: MonitoredLog,
-    new: NDArray[np.bool_],
+    new: Mask,
     time_s: Array,
     state: MonitorState,
 ) -> dict[str, list[BlockMeans]]:
@@ -189,7 +188,7 @@ def _foretell(
     return {name: told[name] + flagged.get(name, []) for name in told}
 
 
-def _share_flagged(flagged: NDArray[np.bool_], time_s: Array, block_s: float) -> Array:
+def _share_flagged(flagged: Mask, time_s: Array, block_s: float) -> Array:
     """Return the share of each block's steps that are flagged."""
     _, index, count = np.unique(np.floor(time_s / block_s), return_inverse=True, return_counts=True)
     return np.asarray(np.bincount(index, weights=flagged, minlength=count.size) / count)

@@ -6,38 +6,31 @@ range, a drift at its limit, an operation or a code at its limit.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array, Mask
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.dataset.chip_codes import MEASURED
 from zerodrift.dataset.runs import Run, predict_all
 from zerodrift.export.compose import count_elapsed, encode_inputs
 from zerodrift.export.encoding import round_channel
 from zerodrift.export.float_model import Calibration, FloatModel
-from zerodrift.export.float_network import FloatLayeredNetwork, FloatNetwork
+from zerodrift.export.float_network import FloatNetwork
 from zerodrift.export.integer_model import (
     FLAG_CLAMPED,
     FLAG_RATE_RANGE,
     IntegerModel,
 )
-from zerodrift.export.quantize import FEATURE_HEADROOM, quantize_graph
-from zerodrift.export.quantize_layers import (
-    ReadOut,
-    quantize_read_out,
-    quantize_state_read_out,
-)
+from zerodrift.export.quantize import choose_feature_exponents, quantize_graph
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import INT16_MAX, CodeArray, IntArray, choose_exponent
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.backend import NumpyOperations
-from zerodrift.operations.dense import COPY_BITS, FloatFeedForward
 from zerodrift.operations.input import IntegerInput
-from zerodrift.operations.intervals import Interval
 from zerodrift.operations.load import IntegerLoad
 from zerodrift.operations.node import ChannelNode
 from zerodrift.operations.operation import Node, list_nodes
@@ -201,24 +194,9 @@ class _Levels:
         quantized = quantize_graph(described, calibration)
         self._nodes = list_nodes([*described.features, *described.taps])
         self._features, self._signals = quantized.features, quantized.signals
-        self._feature_scale = np.array(
-            [
-                2.0 ** -min(choose_exponent(FEATURE_HEADROOM * float(x), INT16_MAX), 15)
-                for x in calibration.feature_max
-            ]
-        )
-        self._read_out = self._quantize_read_out()
         self._scales = quantized.scales
+        self._feature_scale = 2.0 ** -choose_feature_exponents(calibration).astype(np.float64)
         self.order = [node.name for node in model.nodes]
-
-    def _quantize_read_out(self) -> ReadOut | None:
-        network = self._float.network
-        if network is None or isinstance(network, FloatLayeredNetwork):
-            return None
-        if not isinstance(network, FloatFeedForward):
-            return quantize_state_read_out(network)
-        exponents = np.round(-np.log2(self._feature_scale)).astype(np.int64)
-        return quantize_read_out(network, "features", exponents, _prove_features(self._model))
 
     def answer_all(
         self, inputs: Sequence[Mapping[str, Array]], traces: Sequence[Mapping[str, Array]]
@@ -229,26 +207,41 @@ class _Levels:
             [self._evaluate(level, *run) for level in levels]
             for run in zip(inputs, traces, strict=True)
         ]
-        network = self._float.network
-        if network is None:
-            states: Iterator[Array] = iter(())
-        elif isinstance(network, FloatFeedForward | FloatLayeredNetwork):
-            states = (x for run in parts for _, x in run if x is not None)
-        else:
-            features = [x for run in parts for _, x in run if x is not None]
-            states = iter(run_float_states(network, features, self._float.window))
-        return [
-            [
-                self._finish(level, physical, next(states) if x is not None else None, trace)
-                for level, (physical, x) in zip(levels, run, strict=True)
-            ]
-            for run, trace in zip(parts, traces, strict=True)
-        ]
+        network, window = self._float.network, self._float.window
+        first, floating = 0, iter(list[Array]())
+        if network is not None:
+            first = self.order.index("features") + 2  # the level with a layer on the chip
+            taken = [x for run in parts for _, x in run[:first]]
+            floating = iter(run_together(network, taken, window))
+        lsb_per_unit = np.array([output.lsb_per_unit for output in self._model.outputs])
+        found = []
+        for run, trace in zip(parts, traces, strict=True):
+            answers = [physical + next(floating) for physical, _ in run[:first]]
+            for level, (physical, x) in zip(levels[first:-1], run[first:], strict=False):
+                answers.append(physical + self._run_network(level, x, trace))
+            found.append([*answers, trace["drift"] / lsb_per_unit])
+        return found
+
+    def _run_network(
+        self, level: set[str], features: Array, trace: Mapping[str, Array]
+    ) -> Array | float:
+        """Return the network's answer [n, K] with its first nodes as on the chip; 0 without one."""
+        network, scales = self._float.network, self._scales
+        if network is None or scales is None:
+            return 0.0
+        if "head" in level:
+            return np.asarray(trace["head"] * 2.0**-scales.head + network.head_bias)
+        known = {
+            layer: trace[name] * 2.0**-exponents
+            for name, (layer, exponents) in scales.layers.items()
+            if name in level
+        }
+        return network.answer_from(features, self._float.window, known)
 
     def _evaluate(
         self, level: set[str], inputs: Mapping[str, Array], trace: Mapping[str, Array]
-    ) -> tuple[Array, Array | None]:
-        """Return the physical part [n, K] and the features [n, I], None where not needed."""
+    ) -> tuple[Array, Array]:
+        """Return the physical part [n, K] and the network's features [n, I], if there is one."""
         count = next(iter(trace.values())).shape[0]
         ops = NumpyOperations(self._float.sample_period_s, (count,))
         values: dict[Node, Array] = {}
@@ -270,76 +263,17 @@ class _Levels:
             else:
                 value = values[node]
             physical += value[:, None] * row
-        network = self._float.network
-        layered = isinstance(network, FloatLayeredNetwork)
-        if network is None or (not layered and level & {"gru", "dense_0"}):
-            return physical, None
+        if self._float.network is None:
+            return physical, np.zeros((count, 0))
         if "features" in level:
             return physical, trace["features"] * self._feature_scale
         assert self._float.tap_mean is not None and self._float.whitening is not None
         taps = np.stack([values[node] for node in self._float.taps], axis=1)
         return physical, (taps - self._float.tap_mean) @ self._float.whitening.T
 
-    def _finish(
-        self, level: set[str], physical: Array, states: Array | None, trace: Mapping[str, Array]
-    ) -> Array:
-        """Return the drift [n, K] from what `_evaluate` gave."""
-        if "drift" in level:
-            scale = np.array([output.lsb_per_unit for output in self._model.outputs])
-            return np.asarray(trace["drift"] / scale)
-        network = self._float.network
-        if network is None:
-            return physical
-        if isinstance(network, FloatLayeredNetwork):
-            return self._finish_layered(network, level, physical, states, trace)
-        assert self._read_out is not None
-        if "head" in level:
-            sums = trace["head"] * 2.0**-self._read_out.head_exponents
-            return np.asarray(physical + sums + network.head_bias)
-        on_chip = [node.name in level for node in self._read_out.dense].count(True)
-        if on_chip:
-            exponents = self._read_out.dense_exponents[on_chip - 1] + COPY_BITS
-            top = trace[self._read_out.dense[on_chip - 1].name] * 2.0**-exponents
-        elif "gru" in level:
-            top = trace["gru"] / 2.0**30
-        else:
-            assert states is not None
-            top = states
-        rest = replace(network, dense=network.dense[on_chip:])
-        of_rest = rest.run(top) if isinstance(rest, FloatFeedForward) else rest.read_out(top)
-        return np.asarray(physical + of_rest)
 
-    def _finish_layered(
-        self,
-        network: FloatLayeredNetwork,
-        level: set[str],
-        physical: Array,
-        features: Array | None,
-        trace: Mapping[str, Array],
-    ) -> Array:
-        """Return the drift [n, K] where a layer may read several others."""
-        assert self._scales is not None and features is not None
-        if "head" in level:
-            sums = trace["head"] * 2.0**-self._scales.head
-            return np.asarray(physical + sums + network.head_bias)
-        known = {
-            layer: trace[name] * 2.0**-exponents
-            for name, (layer, exponents) in self._scales.layers.items()
-            if name in level
-        }
-        return np.asarray(physical + network.answer_from(features, self._float.window, known))
-
-
-def _prove_features(model: IntegerModel) -> list[Interval]:
-    """Return what the features of a proven model can be."""
-    known: dict[str, list[Interval]] = {}
-    for node in model.nodes:
-        known[node.name], _ = node.prove([known[name] for name in node.inputs])
-    return known["features"]
-
-
-def run_float_states(network: FloatNetwork, features: Sequence[Array], window: int) -> list[Array]:
-    """Return the topmost states [n, H] for each of several feature sequences [n, I], from rest.
+def run_together(network: FloatNetwork, features: Sequence[Array], window: int) -> list[Array]:
+    """Return the network's answers [n, K] for each of several feature sequences [n, I], from rest.
 
     Args:
         network: the float network.
@@ -349,26 +283,14 @@ def run_float_states(network: FloatNetwork, features: Sequence[Array], window: i
     keys = [x.tobytes() for x in features]
     distinct = list(dict(zip(keys, features, strict=True)).values())
     if window:
-        found = [_run_windows(network, x, window) for x in distinct]
+        found = [network.answer_from(x, window, {}) for x in distinct]
     else:
         longest = max(len(x) for x in distinct)
         padded = np.stack([np.pad(x, ((0, longest - len(x)), (0, 0)), "edge") for x in distinct])
-        now = network.settle(padded[:, 0])
-        states = np.empty((longest, *now[-1].shape))
-        for t in range(longest):
-            now = network.step(padded[:, t], now)
-            states[t] = now[-1]
-        found = [states[: len(x), i] for i, x in enumerate(distinct)]
+        answers = network.run(padded, network.settle(padded[:, 0]))
+        found = [answer[: len(x)] for x, answer in zip(distinct, answers, strict=True)]
     by_key = dict(zip(dict.fromkeys(keys), found, strict=True))
     return [by_key[key] for key in keys]
-
-
-def _run_windows(network: FloatNetwork, x: Array, window: int) -> Array:
-    padded = np.concatenate([np.repeat(x[:1], window - 1, axis=0), x])
-    now = network.start(len(x))
-    for k in range(window):
-        now = network.step(padded[k : k + len(x)], now)
-    return now[-1]
 
 
 def _observe(host: HostModel, run: Run) -> dict[str, Array]:

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zerodrift.base.arrays import Mask
 from zerodrift.base.config import Config
 from zerodrift.base.errors import CheckError
 from zerodrift.base.files import list_own, refuse_foreign
@@ -258,7 +256,7 @@ def _mark_forced(
 
 def find_plain(
     replay: ChipReplay, dataset: Dataset
-) -> tuple[tuple[Run, ...], tuple[NDArray[np.bool_], ...] | None]:
+) -> tuple[tuple[Run, ...], tuple[Mask, ...] | None]:
     """Return the runs, and rows of them, on which nothing but rounding costs anything."""
     plain = replay.list_plain_rows()
     if any(mask.any() for mask in plain):

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import find_compiler
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.host_check import HostCheck, check_host
 from zerodrift.verify.mismatch import Mismatch, find_mismatch
 from zerodrift.verify.onnx_model import OnnxModel

@@ -12,10 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.c_runtime.host import HostModel, HostTrace
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import ModelState, Reference
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.verify.mismatch import Mismatch, find_mismatch, label_columns
 
 CHUNKS_AT_ONCE = 256

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,8 @@ def label_columns(model: IntegerModel) -> list[str]:
 
 def find_mismatch(
     model: IntegerModel,
-    expected: NDArray[np.int64],
-    actual: NDArray[np.int64],
+    expected: IntArray,
+    actual: IntArray,
     labels: list[str],
     first_step: int = 0,
 ) -> Mismatch | None:

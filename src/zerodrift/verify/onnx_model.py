@@ -7,6 +7,7 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnxruntime.capi import onnxruntime_pybind11_state
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.integer_onnx import (
@@ -16,7 +17,7 @@ from zerodrift.export.integer_onnx import (
     build_integer_onnx,
     list_state,
 )
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 
 REFUSALS: tuple[type[Exception], ...] = (
     ValueError,

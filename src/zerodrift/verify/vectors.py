@@ -1,12 +1,12 @@
 """The input sequences that a model is checked on: the logs, and inputs that logs never have."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array, IntArray, Mask
 from zerodrift.codegen.selftest import limits_of
 from zerodrift.export.integer_model import Channel, IntegerModel
 from zerodrift.export.reference import Reference
-from zerodrift.operations.arithmetic import CodeArray, IntArray
+from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.tables import NODES, watching_lines
 
 RANDOM_SEED = 20250217
@@ -65,7 +65,7 @@ def draw_sequences(model: IntegerModel, steps: int) -> dict[str, CodeArray]:
     }
 
 
-def tell_times(model: IntegerModel, codes: IntArray | NDArray[np.float64]) -> IntArray:
+def tell_times(model: IntegerModel, codes: IntArray | Array) -> IntArray:
     """Return codes [T, C] followed by times between steps, where the model is told them.
 
     Times are the logs' period in one half of the steps, and in the other spread over all powers of
@@ -191,7 +191,7 @@ def draw_golden(model: IntegerModel, log: CodeArray) -> CodeArray:
     return np.concatenate([codes, _search_lines(model, codes)]).astype(model.code_type)
 
 
-def count_lines(model: IntegerModel, codes: CodeArray) -> NDArray[np.bool_]:
+def count_lines(model: IntegerModel, codes: CodeArray) -> Mask:
     """Return which lines [512] of the activation table a run over codes [T, C] reads."""
     seen = np.zeros(NODES - 1, dtype=bool)
     with watching_lines(lambda index: seen.__setitem__(index.ravel(), True)):
@@ -225,7 +225,7 @@ def _search_lines(model: IntegerModel, before: IntArray) -> IntArray:
             pieces = np.concatenate([pieces, times], axis=2)
         read = np.zeros((_PIECES, NODES - 1), dtype=bool)
 
-        def note(index: IntArray, read: NDArray[np.bool_] = read) -> None:
+        def note(index: IntArray, read: Mask = read) -> None:
             read[np.arange(_PIECES)[:, None], index.reshape(_PIECES, -1)] = True
 
         with watching_lines(note):

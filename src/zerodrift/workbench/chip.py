@@ -245,7 +245,7 @@ def write_replay(
     folder: Path,
     replay: PageReplay,
     wasm: bytes,
-    answers: list[tuple[CodeArray, NDArray[np.int32], NDArray[np.uint32], NDArray[np.float64]]],
+    answers: list[tuple[CodeArray, NDArray[np.int32], NDArray[np.uint32], Array]],
 ) -> None:
     """Write a replay's folder.
 
@@ -308,7 +308,7 @@ class LiveChip:
         """Whether rows have times of their own."""
         self._came_s = -np.inf
         """When the last lines arrived."""
-        self._last: NDArray[np.float64] | None = None
+        self._last: Array | None = None
         self._strays, self._first_stray = 0, ""
         self._lock = threading.Lock()
 
@@ -348,7 +348,7 @@ class LiveChip:
                 warns=warns,
             )
 
-    def _resample(self, rows: list[Values], now_s: float) -> list[NDArray[np.float64]]:
+    def _resample(self, rows: list[Values], now_s: float) -> list[Array]:
         """Return steps [C + K], inputs and measured outputs, that rows finish.
 
         Rows without times of their own are taken as evenly spread since the last lines arrived.
@@ -397,7 +397,7 @@ class LiveChip:
             cold = np.array([self._find(row, find_column(self._config, by.junction))])
         return float(convert(value, by, cold)[0])
 
-    def _read_inputs(self, row: Values) -> NDArray[np.float64]:
+    def _read_inputs(self, row: Values) -> Array:
         """Return the model's inputs [C] of a row, in their physical units."""
         lacking = [c for c in list_read(self._config, self._model) if c not in row]
         if lacking:
@@ -411,7 +411,7 @@ class LiveChip:
         """Return the column of each of the model's channels."""
         return [find_column(self._config, c.source or c.name) for c in self._model.channels]
 
-    def _encode(self, inputs: NDArray[np.float64]) -> CodeArray:
+    def _encode(self, inputs: Array) -> CodeArray:
         """Return the codes [1, C] of a step; what has no reading and no code for it holds."""
         channels, values = self._model.channels, inputs.copy()
         holds = np.isnan(values) & np.array([c.no_reading is None for c in channels])
@@ -432,6 +432,6 @@ class LiveChip:
         self._state, _, drift, flags = self._reference.step(self._state, wide)
         return tuple(int(x) for x in drift[0]), int(flags[0])
 
-    def _measure(self, row: Values) -> NDArray[np.float64]:
+    def _measure(self, row: Values) -> Array:
         names = (f"{MEASURED}{output.name}" for output in self._model.outputs)
         return np.array([self._find(row, find_column(self._config, name)) for name in names])

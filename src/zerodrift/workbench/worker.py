@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, ZerodriftError
 from zerodrift.base.progress import SILENT, Lines, Progress
@@ -139,7 +140,7 @@ def prepare_chip(project: ProjectFolder, result: Path, progress: Progress = SILE
 
 def _encode(
     config: Config, model: IntegerModel, dataset: Dataset, notes: list[str]
-) -> tuple[list[tuple[ReplayRun, NDArray[np.float64]]], list[CodeArray]]:
+) -> tuple[list[tuple[ReplayRun, Array]], list[CodeArray]]:
     """Return the runs with what was measured, those held out first, and their codes."""
     found, codes = [], []
     tests = {run.name for run in dataset.test}

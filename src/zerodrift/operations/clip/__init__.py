@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.base.arrays import Array, IntArray
+from zerodrift.operations.arithmetic import saturate
 from zerodrift.operations.c_text import format_int32
 from zerodrift.operations.errors import Error, Known, bound_limit
 from zerodrift.operations.formats import FormattedNodes

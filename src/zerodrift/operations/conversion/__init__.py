@@ -6,10 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.column_config import ConversionConfig, sum_formula
 from zerodrift.base.errors import CheckError
 from zerodrift.base.records import OPTIONAL
-from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, saturate
 from zerodrift.operations.c_text import CTable, format_int32, format_int64, make_table
 from zerodrift.operations.intervals import Bound, Interval, Shift, check_limits, check_shift
 from zerodrift.operations.node import IntegerNode, Writer

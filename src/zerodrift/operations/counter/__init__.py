@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.errors import Error, Known, require
 from zerodrift.operations.intervals import Bound, Interval

@@ -9,12 +9,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.arithmetic import (
     INT16_MAX,
     INT16_MIN,
-    IntArray,
     matmul_exact,
     round_shift,
     saturate,
@@ -118,7 +117,7 @@ class IntegerDense(IntegerNode):
         return INT16_MIN << COPY_BITS, INT16_MAX << COPY_BITS
 
     @cached_property
-    def _weights_t(self) -> NDArray[np.float64]:
+    def _weights_t(self) -> Array:
         return np.ascontiguousarray(self.weights.T, dtype=np.float64)
 
     def _copy(self, values: Values) -> IntArray:

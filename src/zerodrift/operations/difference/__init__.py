@@ -6,8 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.errors import Error, Known, bound_sum, list_terms
 from zerodrift.operations.formats import EXACT_BITS, FormattedNodes
 from zerodrift.operations.intervals import Bound, Interval

@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import saturate
 from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
 from zerodrift.operations.intervals import (
     Bound,
@@ -32,9 +32,9 @@ class IntegerDrift(IntegerNode):
 
     kind: ClassVar[str] = "drift"
     reads: ClassVar[int | None] = None
-    coefficients: NDArray[np.int64]  # [K, J] for the J scalar signals
-    head_coefficients: NDArray[np.int64]  # [K]; zeros without a head
-    bias: NDArray[np.int64]
+    coefficients: IntArray  # [K, J] for the J scalar signals
+    head_coefficients: IntArray  # [K]; zeros without a head
+    bias: IntArray
     """[K], the rounding half folded in."""
     shift: tuple[int, ...]
     low: tuple[int, ...]

@@ -6,8 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError, NoRuleError
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.intervals import Bound, Interval

@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, IntArray, saturate
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import INT16_MAX, INT16_MIN, saturate
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
 from zerodrift.operations.intervals import Bound, Interval, Shift, bound_row, check_shift
@@ -24,7 +25,7 @@ class IntegerFeatures(IntegerNode):
     kind: ClassVar[str] = "features"
     reads: ClassVar[int | None] = None
     matrix: NDArray[np.int32]  # [I, J]
-    bias: NDArray[np.int64]
+    bias: IntArray
     """[I], the rounding half folded in."""
     shift: tuple[int, ...]
 

@@ -6,8 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.config import LONGEST_WINDOW
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.c_text import RuntimePart, StateField, list_ring
 from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.errors import Error, Known

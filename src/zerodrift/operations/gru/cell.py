@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.base.arrays import Array, IntArray
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import Writer
 from zerodrift.operations.tables import sigmoid_q31, tanh_q30, write_sigmoid, write_tanh
@@ -37,9 +37,9 @@ U_RELAX_Q31 = 2**30
 class FloatGru:
     """Weights of a GRU in float64, gates in the order r, u, n."""
 
-    w_x: NDArray[np.float64]  # [3, H, I]
-    w_h: NDArray[np.float64]  # [3, H, H]
-    bias: NDArray[np.float64]
+    w_x: Array  # [3, H, I]
+    w_h: Array  # [3, H, H]
+    bias: Array
     """[4, H]: r, u, n outside the reset product, n inside it (0 for reset "before")."""
     reset: str
     """"after" or "before" the recurrent product."""

@@ -9,9 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.operations.gru.cell import IntegerGru
-
-Words = NDArray[np.int64]
 
 COLUMN_UNITS = 8
 """Units that one vector of the columns kernel holds (AVX2: 256 bits)."""
@@ -41,7 +40,7 @@ def has_bytes_kernel(gru: IntegerGru) -> bool:
     return gru.reset == "after" and gru.multiplier is not None and few and short
 
 
-def pack_pairs(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
+def pack_pairs(rows: NDArray[np.int16] | NDArray[np.int8]) -> IntArray:
     """Return int16 [..., n] as signed 32-bit pairs [..., (n + 1) // 2].
 
     Example:
@@ -54,7 +53,7 @@ def pack_pairs(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
     return np.where(words >= 2**31, words - 2**32, words)
 
 
-def pack_fours(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
+def pack_fours(rows: NDArray[np.int16] | NDArray[np.int8]) -> IntArray:
     """Return weights of 8 bits [..., n] as signed 32-bit words of four [..., (n + 3) // 4].
 
     A word's bytes, the lowest first, are the first, third, second and fourth weight.
@@ -66,7 +65,7 @@ def pack_fours(rows: NDArray[np.int16] | NDArray[np.int8]) -> Words:
     fill = -rows.shape[-1] % 4
     filled = np.pad(rows.astype(np.int64), [(0, 0)] * (rows.ndim - 1) + [(0, fill)])
     fours = filled.reshape(*rows.shape[:-1], -1, 4)[..., [0, 2, 1, 3]] & 0xFF
-    words: Words = (fours << np.array([0, 8, 16, 24])).sum(axis=-1)
+    words: IntArray = (fours << np.array([0, 8, 16, 24])).sum(axis=-1)
     return np.where(words >= 2**31, words - 2**32, words)
 
 
@@ -86,7 +85,7 @@ def lay_out_pairs(gru: IntegerGru) -> list[int]:
     return words
 
 
-def find_pairs(pairs: int) -> NDArray[np.int64]:
+def find_pairs(pairs: int) -> IntArray:
     """Return where the words of a row of pairs lie in the stream of the pairs kernel, [3, pairs].
 
     Blocks of two pairs, r r u u n n, and a last odd one, r u n.
@@ -156,7 +155,7 @@ def lay_out_columns(gru: IntegerGru) -> list[int]:
     return words
 
 
-def fill_rows(*weights: NDArray[np.int16] | NDArray[np.int8]) -> NDArray[np.int64]:
+def fill_rows(*weights: NDArray[np.int16] | NDArray[np.int8]) -> IntArray:
     """Return [G, H, n] side by side as the rows kernels read them: whole vectors, fours of units.
 
     H is filled up to a multiple of four and each n to one of eight, with zeros.
@@ -172,7 +171,7 @@ def fill_rows(*weights: NDArray[np.int16] | NDArray[np.int8]) -> NDArray[np.int6
     return np.concatenate(parts, axis=2)
 
 
-def order_rows(rows: NDArray[np.int64]) -> list[int]:
+def order_rows(rows: IntArray) -> list[int]:
     """Return [G, U, n] unit by unit, within a unit gate by gate."""
     return [int(w) for w in np.moveaxis(rows, 1, 0).ravel()]
 
@@ -204,7 +203,7 @@ def lay_out_row_bytes(gru: IntegerGru) -> list[int]:
     return _order_passes(gru, fill_rows(gru.w_h))
 
 
-def _order_passes(gru: IntegerGru, rows: NDArray[np.int64]) -> list[int]:
+def _order_passes(gru: IntegerGru, rows: IntArray) -> list[int]:
     passes = (rows,) if gru.reset == "after" else (rows[:2], rows[2:])
     return [number for gates in passes for number in order_rows(gates)]
 

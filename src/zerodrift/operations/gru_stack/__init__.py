@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import IntegerGru

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.operations.arithmetic import IntArray, matmul_exact, round_shift
+from zerodrift.base.arrays import Array, IntArray
+from zerodrift.operations.arithmetic import matmul_exact, round_shift
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.errors import Error, Known, bound_sum, copy_known, list_terms
 from zerodrift.operations.intervals import Bound, Interval, bound_row
@@ -31,7 +32,7 @@ class IntegerHead(IntegerNode):
         return int(self.weights.shape[0])
 
     @cached_property
-    def _weights_t(self) -> NDArray[np.float64]:
+    def _weights_t(self) -> Array:
         return np.ascontiguousarray(self.weights.T, dtype=np.float64)
 
     def step(self, state: State, values: Values) -> tuple[State, IntArray]:

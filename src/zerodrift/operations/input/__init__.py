@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import saturate
 from zerodrift.operations.errors import Error, Known, SumTerm, bound_sum
 from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
 from zerodrift.operations.node import CODES, ChannelNode, Names, OnnxStep, State, Values, Writer

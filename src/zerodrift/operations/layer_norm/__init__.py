@@ -13,9 +13,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError, NoRuleError
-from zerodrift.operations.arithmetic import IntArray, round_shift
+from zerodrift.operations.arithmetic import round_shift
 from zerodrift.operations.c_text import CTable, RuntimePart, make_table
 from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.errors import Error, Known

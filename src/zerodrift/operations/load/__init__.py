@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, IntArray, saturate
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, saturate
 from zerodrift.operations.errors import Error, Known, require
 from zerodrift.operations.intervals import Bound, Interval, check_limits, check_shift
 from zerodrift.operations.node import (

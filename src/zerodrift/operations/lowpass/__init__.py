@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
+from zerodrift.operations.arithmetic import INT32_MAX, round_shift
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.errors import HALF, Error, Known
 from zerodrift.operations.formats import LOWPASS_FRACTION, SIGNAL_BITS, FormattedNodes

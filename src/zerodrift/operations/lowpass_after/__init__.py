@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zerodrift.base.arrays import IntArray, Mask
 from zerodrift.base.errors import CheckError, NoRuleError
-from zerodrift.operations.arithmetic import INT32_MAX, IntArray, round_shift
+from zerodrift.operations.arithmetic import INT32_MAX, round_shift
 from zerodrift.operations.c_text import StateField
 from zerodrift.operations.errors import Error, Known
 from zerodrift.operations.formats import LOWPASS_FRACTION
@@ -32,7 +32,7 @@ MARGIN = 1 << 22
 class Shares(NamedTuple):
     """The coefficients of a step y' = y + a (x - y) + c (x' - x)."""
 
-    moves: NDArray[np.bool_]
+    moves: Mask
     """[B] False where the step is collected."""
     a_q31: IntArray
     """[B] a = a_q31 2**-(31 + k) = 1 - exp(-r)."""

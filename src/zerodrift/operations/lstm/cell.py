@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
-from zerodrift.operations.arithmetic import IntArray, round_shift, saturate
+from zerodrift.base.arrays import Array, IntArray
+from zerodrift.operations.arithmetic import round_shift, saturate
 from zerodrift.operations.gru.cell import R_Q31_MAX, RELAX_STEPS
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import Writer
@@ -45,9 +45,9 @@ SLOWEST = 15
 class FloatLstm:
     """Weights of an LSTM in float64, gates in the order i, f, g, o."""
 
-    w_x: NDArray[np.float64]  # [4, H, I]
-    w_h: NDArray[np.float64]  # [4, H, H]
-    bias: NDArray[np.float64]  # [4, H]
+    w_x: Array  # [4, H, I]
+    w_h: Array  # [4, H, H]
+    bias: Array  # [4, H]
 
     @property
     def hidden(self) -> int:

@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
-from zerodrift.operations.arithmetic import IntArray
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import Error, Known, larger
 from zerodrift.operations.formats import FormattedNodes

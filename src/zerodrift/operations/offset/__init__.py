@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from zerodrift.operations.arithmetic import IntArray, choose_exponent
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import choose_exponent
 from zerodrift.operations.errors import Error, Known, bound_sum, list_terms
 from zerodrift.operations.formats import EXACT_BITS, SIGNAL_BITS, FormattedNodes
 from zerodrift.operations.intervals import Bound, Interval

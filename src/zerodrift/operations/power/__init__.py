@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.base.errors import CheckError
-from zerodrift.operations.arithmetic import IntArray, saturate
+from zerodrift.operations.arithmetic import saturate
 from zerodrift.operations.c_text import CTable, make_table
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import HALF, Error, Known, require

@@ -7,11 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
+from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.arithmetic import (
     INT32_MAX,
     INT32_MIN,
-    IntArray,
     choose_exponent,
     round_shift,
     saturate,

@@ -8,13 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from zerodrift.operations.arithmetic import (
-    INT32_MAX,
-    INT32_MIN,
-    IntArray,
-    choose_exponent,
-    saturate,
-)
+from zerodrift.base.arrays import IntArray
+from zerodrift.operations.arithmetic import INT32_MAX, INT32_MIN, choose_exponent, saturate
 from zerodrift.operations.c_text import format_factor, format_int32, format_int64
 from zerodrift.operations.clip import limit
 from zerodrift.operations.errors import HALF, Error, Known, bound_sum, gather, list_terms
