@@ -339,6 +339,18 @@ def test_few_spikes_are_told_by_what_they_weigh(clean, height, told):
     assert [(n.run, n.column) for n in found] == ([("run_3", "Fz")] if told else [])
 
 
+def test_counter_that_wraps_shows_on_an_uneven_clock_too(clean):
+    load, rows = clean.train[3].reference[:, 0], np.arange(len(clean.train[3]))
+
+    def wrap(x):
+        span, low = 0.6 * float(np.ptp(x)), float(np.quantile(x, 0.05))
+        return load + np.interp(rows + 0.4, rows, low + np.mod(x - low, span) - load)
+
+    runs = [*clean.train[:3], change_output(clean.train[3], wrap), *clean.train[4:]]
+    (note,) = find_wraps(runs, clean.outputs)
+    assert (note.run, note.column, note.kind) == ("run_3", "Fz", "wrapped")
+
+
 def test_values_for_none_that_come_back_at_once_are_no_counter(clean):
     x = clean.train[3].measured[:, 0]
     scattered = change_output(clean.train[3], put(x.min() + 40.0 * np.ptp(x), SPIKED))

@@ -484,10 +484,14 @@ def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
 
 def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     """Return a note if an output jumps up and down by one large size."""
-    steps = np.diff(run.drift[:, k])
+    drift = run.drift[:, k]
+    # Over two rows: an uneven clock lays a mixture of both sides between them.
+    steps = drift[2:] - drift[:-2]
     if len(run) < 6 * ARM or not steps.any():
         return None
-    rows = np.flatnonzero(np.abs(steps) >= WRAPS * np.ptp(run.measured[:, k]))
+    large = np.flatnonzero(np.abs(steps) >= WRAPS * np.ptp(run.measured[:, k]))
+    jumps = np.split(large, np.flatnonzero(np.diff(large) > 1) + 1) if large.size else []
+    rows = np.array([jump[np.abs(steps[jump]).argmax()] for jump in jumps], dtype=np.intp)
     if rows.size < 2:
         return None
     size = float(np.median(np.abs(steps[rows])))
