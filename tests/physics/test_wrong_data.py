@@ -340,13 +340,15 @@ def test_few_spikes_are_told_by_what_they_weigh(clean, height, told):
 
 
 def test_counter_that_wraps_shows_on_an_uneven_clock_too(clean):
-    load, rows = clean.train[3].reference[:, 0], np.arange(len(clean.train[3]))
-
     def wrap(x):
-        span, low = 0.6 * float(np.ptp(x)), float(np.quantile(x, 0.05))
-        return load + np.interp(rows + 0.4, rows, low + np.mod(x - low, span) - load)
+        span, low = 0.7 * float(np.ptp(x)), float(x.min())
+        return mix(low + np.mod(x - low, span))
 
-    runs = [*clean.train[:3], change_output(clean.train[3], wrap), *clean.train[4:]]
+    def mix(x):
+        return np.interp(np.arange(x.size) + 0.4, np.arange(x.size), x)
+
+    run = change_reference(change_output(clean.train[3], wrap), mix)
+    runs = [*clean.train[:3], run, *clean.train[4:]]
     (note,) = find_wraps(runs, clean.outputs)
     assert (note.run, note.column, note.kind) == ("run_3", "Fz", "wrapped")
 
