@@ -35,7 +35,6 @@ from unicorn.riscv_const import (
     UC_RISCV_REG_SP,
 )
 
-from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError, InputError
 from zerodrift.c_runtime.compilers import Compiler
 from zerodrift.c_runtime.cores import MEMORY, find_cross_compilers, list_cores
@@ -266,7 +265,7 @@ class EmulatedModel:
 
     def trace(
         self, codes: CodeArray, *, settled: bool = True
-    ) -> tuple[NDArray[np.int32], NDArray[np.uint32], IntArray]:
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64]]:
         """Return drift [T, K], flags [T] and the state after each step [T, n], as packed.
 
         Args:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import IntArray
 from zerodrift.base.errors import CheckError
 from zerodrift.c_runtime.compilers import WARNINGS, Compiler, find_compiler, list_runtime
 from zerodrift.codegen.generate import GeneratedCode
@@ -206,7 +205,7 @@ class HostModel:
         """Put bytes over the beginning of the state, as a stray pointer does."""
         ctypes.memmove(self._state, content, min(len(content), self.state_bytes))
 
-    def pack(self, length: int) -> IntArray:
+    def pack(self, length: int) -> NDArray[np.int64]:
         """Return the state as `length` numbers, in the order of `ModelState.pack`."""
         packed = np.empty(length, dtype=np.int64)
         _check_width(int(self._pack(self._state, _pointer(packed))), length)
@@ -239,7 +238,7 @@ class HostModel:
 
     def run_chunks(
         self, codes: CodeArray, chunk: int, width: int, *, settled: bool = True
-    ) -> tuple[HostTrace, IntArray]:
+    ) -> tuple[HostTrace, NDArray[np.int64]]:
         """Run over codes [T, C] from `settle` or `init`; return also the states after each chunk.
 
         Args:

@@ -37,6 +37,7 @@ from zerodrift.train.courses import (
     WindowCourse,
 )
 from zerodrift.train.networks import Network
+from zerodrift.train.onnx_export import WINDOWS_AT_ONCE
 from zerodrift.train.sequences import Array32
 
 # How networks are trained: the settings, the learning-rate cycle, and AdamW on many at once.
@@ -200,9 +201,6 @@ def explain_divergence(epoch: int, learning_rate: float) -> InputError:
 
 
 # The epochs of many trainings in step: gradients, steps, judgement on the held-out runs.
-
-WINDOWS_AT_ONCE = 4096
-"""Windows of a network that are judged together: enough to keep the loop over time short."""
 
 
 @dataclass(frozen=True)

@@ -161,14 +161,9 @@ class IntegerGruNetwork(Network):
         counts, states = x.numpy().T.astype(np.int64), []
         for layer in self.to_integer():
             h_q30 = layer.settle(counts)
-            states.append(_to_state(h_q30))
+            states.append(torch.from_numpy(np.ascontiguousarray(h_q30.T / STATE_ONE)))
             counts = round_shift(h_q30, COPY_BITS)
         return torch.cat(states)
-
-
-def _to_state(h_q30: IntArray) -> Tensor:
-    """Return integer states [B, H] as a tensor [H, B]; 31 bits fit a float64 exactly."""
-    return torch.from_numpy(np.ascontiguousarray(h_q30.T / STATE_ONE))
 
 
 def run_integers(gru: IntegerGru, x: IntArray, h_q30: IntArray) -> tuple[GruTrace, Array]:

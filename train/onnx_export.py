@@ -255,6 +255,7 @@ def _describe(name: str, shape: Sequence[str | int]) -> onnx.ValueInfoProto:
 # The file of a trained recurrent network, run by onnxruntime: PyTorch is not needed.
 
 WINDOWS_AT_ONCE = 4096
+"""Windows that are run together: enough to keep the loop over time short."""
 
 
 @dataclass(frozen=True)

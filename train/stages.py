@@ -14,6 +14,7 @@ from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import TARE_RATIO, fit
 from zerodrift.physics.model import PhysicalModel
 from zerodrift.train.front_end import FrontEnd, Tap, fit_front_end
+from zerodrift.train.lag_bank.search import LONGEST_SHARE, SHORTEST_STEPS
 from zerodrift.train.sequences import Sequence32
 
 # The linear part of what physics leaves, solved exactly before the network sees anything.
@@ -132,10 +133,6 @@ def _solve(moment: Array, width: int) -> Array:
 
 GRID, REFINE = 16, 9
 """Time constants that are tried, evenly spaced in the logarithm; then again around the best."""
-SHORTEST_STEPS = 3.0
-"""A lag shorter than this many samples shows the thermometer's noise more than its slope."""
-LONGEST_SHARE = 0.25
-"""A lag longer than this share of the longest run cannot be told from a slow drift."""
 EARNS_ITS_PLACE = 0.8
 """A second lag must bring the error on runs left out below this multiple of the first one's."""
 MOST_LAGS = 2

@@ -7,7 +7,6 @@ manual needs none. The folder that this is started in is the cells' own.
 """
 
 import json
-import os
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -51,7 +50,7 @@ def run_cells(sources: list[str]) -> list[CellAnswer]:
         displayhook_class = ShowLast
 
     config = Config()
-    config.IPythonDisplayFormatter.enabled = False  # Plotly asks for a package that it does not use
+    config.IPythonDisplayFormatter.enabled = False
     config.HistoryManager.enabled = False
     shell = Shell.instance(config=config, colors="nocolor")
     answers = []
@@ -69,7 +68,6 @@ def run_cells(sources: list[str]) -> list[CellAnswer]:
 
 def main(notebook: str, answers: str) -> None:
     """Run one notebook; see the module."""
-    os.environ.setdefault("PLOTLY_RENDERER", "plotly_mimetype")
     given = run_cells([source for kind, source in read_cells(Path(notebook)) if kind == "code"])
     Path(answers).write_text(json.dumps([asdict(each) for each in given]), "utf-8")
 

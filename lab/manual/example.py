@@ -4,11 +4,14 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-import plotly.graph_objects as go
 from click.testing import CliRunner
 
 from zerodrift.cli.main import cli
-from zerodrift.report.figures import Window, draw_candidates, draw_run, draw_staircase
+from zerodrift.diagnosis.drivers import TEMPERATURE, DriftDriver
+from zerodrift.report.cause import DRIFT, LEFT, CauseView, draw_cause, list_channels, read_driven
+from zerodrift.report.pictures import draw_ranking, draw_stairs
+from zerodrift.report.svg import Picture
+from zerodrift.report.window import Window
 from zerodrift.tasks.project import ProjectFolder, open_project
 from zerodrift.tasks.survey import SurveyRequest, list_contributions, survey
 
@@ -18,7 +21,7 @@ OUTPUT = "Fz"
 
 
 @cache
-def draw_example() -> dict[str, tuple[go.Figure, str]]:
+def draw_example() -> dict[str, tuple[Picture, str]]:
     """Return the pictures by name, each with its caption."""
     from zerodrift.physics.catalogue import load_catalogue
 
@@ -35,27 +38,25 @@ def draw_example() -> dict[str, tuple[go.Figure, str]]:
         worst = next(s for s in before.comparison.worst if s.output == OUTPUT)
         _run("add", diagnosis.effect, "--json", "-C", str(directory))
         steps = survey(SurveyRequest(ProjectFolder(directory), wants_diagnosis=False)).steps
-    k = before.outputs.index(OUTPUT)
-    run = draw_run(
-        before.find_trace(worst.run),
-        before.comparison,
-        OUTPUT,
-        Window(worst.run),
-        ghost=curves[worst.run][k],
-        ghost_name=effect,
+    trace, driver = before.find_trace(worst.run), DriftDriver(TEMPERATURE)
+    curve = curves[worst.run][before.outputs.index(OUTPUT)]
+    panes = (DRIFT, LEFT, driver.key)
+    view = CauseView(trace, OUTPUT, Window(worst.run), panes, driver, effect, curve)
+    shown = draw_cause(
+        view, before.comparison, list_channels(before), lambda d: read_driven(before, trace, d)
     )
     return {
         "run": (
-            run,
+            shown.picture,
             f"Measurement, model and what is left of one run, and what {effect} would explain of "
             f"it. {SIMULATED}",
         ),
         "candidates": (
-            draw_candidates(diagnosis),
+            draw_ranking(diagnosis),
             f"What each effect that the model lacks leaves of the held-out error. {SIMULATED}",
         ),
         "staircase": (
-            draw_staircase(steps),
+            draw_stairs(steps),
             f"The held-out error of each output before and after `add {effect}`. {SIMULATED}",
         ),
     }

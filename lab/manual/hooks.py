@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from manual.pictures import draw_picture
-from zerodrift.report.page import embed_figure
+from zerodrift.report.page import embed_picture
+from zerodrift.report.svg import write_colours, write_dark_colours
 
 SECTIONS = (
     ("Tutorial", "tutorial"),
@@ -39,6 +40,9 @@ FIRST = (
 HOME = "index.md"
 ROOT = Path(__file__).parents[2]
 PYTHON = "reference/python/"
+DARK = write_dark_colours('[data-md-color-scheme="slate"] ')
+STYLE = f"<style>{write_colours()}{DARK}</style>"
+"""Of the pictures of a page."""
 ASKED = re.compile(r"<!-- picture: ([\w -]+?) -->")
 CODE = re.compile(r"`([^`]+)`")
 SHOWN_EFFECT = re.compile(r"(?m)^## (\w+)$")
@@ -125,11 +129,12 @@ def put_pictures(content: str, page: str) -> str:
             raise ValueError(
                 f"docs/{page}: asks for the picture {error}, which is unknown"
             ) from None
-        figure = embed_figure(picture.figure, picture.caption)
+        figure = embed_picture(picture.drawn)
         caption = CODE.sub(r"<code>\1</code>", html.escape(picture.caption))
         return f'{figure}<p class="caption">{caption}</p>'
 
-    return ASKED.sub(put, content)
+    found = ASKED.sub(put, content)
+    return found if found == content else f"{STYLE}{found}"
 
 
 # --- what MkDocs calls --------------------------------------------------------------------------

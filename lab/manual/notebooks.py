@@ -8,15 +8,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-import plotly.graph_objects as go
-
 from manual.cells import Bundle, CellAnswer, read_cells
-from zerodrift.report.page import embed_figure
 
 DOCS = Path(__file__).parents[2] / "docs"
 SECONDS = 1200
 """For one notebook, on a busy machine."""
-FIGURE, HTML, TEXT = "application/vnd.plotly.v1+json", "text/html", "text/plain"
+HTML, TEXT = "text/html", "text/plain"
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 TITLE = re.compile(r"# .+\n")
 
@@ -38,7 +35,7 @@ def render_notebook(path: Path) -> str:
     """
     answers = iter(run_notebook(path))
     cells = [
-        _render_cell(source, next(answers), path) if kind == "code" else source
+        _render_cell(source, next(answers)) if kind == "code" else source
         for kind, source in read_cells(path)
     ]
     body = "\n\n".join(cells)
@@ -82,19 +79,16 @@ def _put_before(folder: str, variable: str) -> str:
     return os.pathsep.join(filter(None, (folder, os.environ.get(variable))))
 
 
-def _render_cell(source: str, answer: CellAnswer, path: Path) -> str:
+def _render_cell(source: str, answer: CellAnswer) -> str:
     shown = [f"```python\n{source}\n```"]
     if answer.printed:
         shown.append(f"```text\n{CONTROL.sub('', answer.printed).rstrip()}\n```")
-    shown += [_render_data(each, path) for each in answer.shown]
+    shown += [_render_data(each) for each in answer.shown]
     return "\n\n".join(each for each in shown if each)
 
 
-def _render_data(data: Bundle, path: Path) -> str:
+def _render_data(data: Bundle) -> str:
     """Return one output in the richest form that a page can show without fetching anything."""
-    if FIGURE in data:
-        figure = go.Figure(json.loads(json.dumps(data[FIGURE])), skip_invalid=True)
-        return embed_figure(figure, f"{path.stem}: a figure that its cell draws")
     if HTML in data:
         lines = (line.strip() for line in str(data[HTML]).splitlines())
         return f'<div class="output">{"".join(line for line in lines if line)}</div>'

@@ -42,9 +42,9 @@ MODULES = {
         ("operations.arithmetic", "operations.intervals", "operations.gru", "operations.tables"),
     ),
     "report": (
-        "Figures and report",
-        "One set of figures for report, page and manual.",
-        ("report.findings", "report.figures", "report.report"),
+        "Pictures and report",
+        "One set of pictures for report, page and manual.",
+        ("report.findings", "report.pictures", "report.report"),
     ),
 }
 """Page -> its title, what it is about, and the modules on it."""
@@ -88,15 +88,12 @@ def render_modules(page: str) -> str:
 
 def list_pages() -> Iterator[tuple[str, Callable[[], str]]]:
     """Yield every file that is made, and what makes it."""
-    from plotly.offline import get_plotlyjs
-
     yield "reference/commands.md", render_commands
     for page in MODULES:
         yield f"reference/python/{page}.md", lambda page=page: render_modules(page)
     for path in list_notebooks():
         name = path.relative_to(DOCS).with_suffix(".md").as_posix()
         yield name, lambda path=path: render_notebook(path)
-    yield "assets/plotly.min.js", get_plotlyjs
 
 
 def write_pages() -> None:

@@ -1,18 +1,18 @@
-"""The manual's pictures: computed when it is built, drawn by the figures of the report."""
+"""The manual's pictures: computed when it is built, drawn as those of the report."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 from scipy.stats import t as student
 
 from zerodrift.base.arrays import Array
 from zerodrift.diagnosis.evidence import flip_signs
 from zerodrift.operations.arithmetic import round_shift
-from zerodrift.report.figures import ACCENT, FLOOR, HEATING, LEFT, apply_style, draw_fingerprint
+from zerodrift.report.pictures import draw_fingerprint
+from zerodrift.report.svg import AxisScale, Curve, Panel
+from zerodrift.report.svg import Picture as Drawn
 
 TRIALS, RUNS, SAMPLES = 400, 8, 600
 """Of the trial of false alarms."""
@@ -23,9 +23,9 @@ NOMINAL = 0.05
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure and what it shows, with the numbers found while drawing it."""
+    """A picture and what it shows, with the numbers found while drawing it."""
 
-    figure: go.Figure
+    drawn: Drawn
     caption: str
 
 
@@ -75,39 +75,41 @@ def draw_stall() -> Picture:
     tau, count = 3600.0, 40_000
     target = np.where(np.arange(count) < 600, 0.0, 0.5)
     exact = follow(target, tau, None)
-    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.14)
-    apply_style(figure, 400)
     hours = np.arange(count) / 3600.0
     shown = np.linspace(0, count - 1, 700).astype(int)
     lines = (
-        ("float", exact, LEFT, "solid", 4.0),
-        ("30 bits", follow(target, tau, 30), ACCENT, "dash", 2.0),
-        ("15 bits", follow(target, tau, 15), HEATING, "dot", 2.5),
+        ("float", exact, "left", "solid", 4.0),
+        ("30 bits", follow(target, tau, 30), "model", "dash", 2.0),
+        ("15 bits", follow(target, tau, 15), "effect", "dot", 2.5),
     )
-    for name, state, colour, dash, width in lines:
-        line = {"color": colour, "dash": dash, "width": width}
-        figure.add_trace(
-            go.Scatter(x=hours[shown], y=state[shown], name=name, line=line), row=1, col=1
-        )
     taus = np.logspace(1.0, 5.0, 17)
-    for bits, colour, symbol in ((15, HEATING, "circle"), (30, ACCENT, "square")):
-        left = [measure_stall(float(tau), bits) for tau in taus]
-        figure.add_trace(
-            go.Scatter(
-                x=taus,
-                y=left,
-                mode="markers+lines",
-                name=f"{bits} bits, left over",
-                line={"color": colour, "width": 1, "dash": "dot"},
-                marker={"symbol": symbol, "color": colour, "size": 7},
-            ),
-            row=1,
-            col=2,
-        )
-    figure.update_xaxes(title="time at one step a second, h", row=1, col=1)
-    figure.update_yaxes(title="state", row=1, col=1)
-    figure.update_xaxes(title="time constant, steps", type="log", tickformat="~s", row=1, col=2)
-    figure.update_yaxes(title="never reached", type="log", tickformat="~g", row=1, col=2)
+    over = {bits: np.array([measure_stall(float(t), bits) for t in taus]) for bits in (15, 30)}
+    courses = Panel(
+        left=62.0,
+        top=44.0,
+        width=420.0,
+        height=280.0,
+        x=AxisScale(0.0, float(hours[-1]), "time at one step a second, h"),
+        y=AxisScale(-0.03, 0.55),
+        title="state",
+        curves=tuple(
+            Curve(hours[shown], state[shown], ink, name, dash, width)
+            for name, state, ink, dash, width in lines
+        ),
+        stacked=True,
+    )
+    ends = np.concatenate([values[values > 0.0] for values in over.values()])
+    never = replace(
+        courses,
+        left=560.0,
+        x=AxisScale(8.0, 1.3e5, "time constant, steps", log=True),
+        y=AxisScale(0.5 * float(ends.min()), 2.0 * float(ends.max()), log=True),
+        title="never reached",
+        curves=(
+            Curve(taus, over[15], "effect", "15 bits, left over", "dot", 1.0, mark="circle"),
+            Curve(taus, over[30], "model", "30 bits, left over", "dot", 1.0, mark="square"),
+        ),
+    )
     stall = measure_stall(tau, 15)
     caption = (
         f"Left: a unit with a time constant of one hour follows a step of 0.5. With 15 fractional "
@@ -115,7 +117,8 @@ def draw_stall() -> Picture:
         f"{measure_stall(tau, 30):.1e}. Right: what is never reached, for time constants from ten "
         "seconds to a day."
     )
-    return Picture(figure, caption)
+    words = "A slow unit's answer to a step, and what it never reaches."
+    return Picture(Drawn(1000.0, 370.0, (courses, never), words, "stall"), caption)
 
 
 # --- why runs are the unit of evidence -----------------------------------------------------------
@@ -162,31 +165,33 @@ def draw_alarms() -> Picture:
     """Return how often an effect that is not there is found, against how often it should be."""
     by_samples, by_runs = count_alarms()
     levels = np.linspace(0.0, 0.5, 101)
-    figure = go.Figure()
     lines = (
-        ("samples as evidence", by_samples, HEATING, "solid"),
-        ("runs as evidence", by_runs, ACCENT, "dash"),
+        ("samples as evidence", by_samples, "effect", "solid"),
+        ("runs as evidence", by_runs, "model", "dash"),
     )
-    for name, values, colour, dash in lines:
-        found = (values[None] <= levels[:, None]).mean(axis=1)
-        figure.add_trace(
-            go.Scatter(
-                x=levels, y=found, name=name, line={"color": colour, "dash": dash, "width": 2.5}
-            )
-        )
-    figure.add_trace(
-        go.Scatter(x=levels, y=levels, name="as promised", line={"color": FLOOR, "dash": "dot"})
+    percent = 100.0 * levels
+    curves = [Curve(percent, percent, "floor", "as promised", "dot")]
+    for name, values, ink, dash in lines:
+        found = 100.0 * (values[None] <= levels[:, None]).mean(axis=1)
+        curves.append(Curve(percent, found, ink, name, dash, 2.5))
+    panel = Panel(
+        left=62.0,
+        top=26.0,
+        width=690.0,
+        height=280.0,
+        x=AxisScale(0.0, 50.0, "false alarms promised, %"),
+        y=AxisScale(0.0, 100.0),
+        title="false alarms found, %",
+        curves=tuple(curves),
     )
-    apply_style(figure, 380)
-    figure.update_xaxes(title="false alarms promised", tickformat=".0%")
-    figure.update_yaxes(title="false alarms found", tickformat=".0%", range=[0.0, 1.0])
     caption = (
         f"{TRIALS} simulated trials of {RUNS} runs, noise with a memory of {MEMORY_STEPS:g} "
         f"samples, and a slow signal that has nothing to do with it. At a promised {NOMINAL:.0%} "
         f"the test of samples raises a false alarm in {(by_samples <= NOMINAL).mean():.0%} of the "
         f"trials, the flipped signs of held-out runs in {(by_runs <= NOMINAL).mean():.1%}."
     )
-    return Picture(figure, caption)
+    words = "How often an effect that is not there is found, against how often it should be."
+    return Picture(Drawn(764.0, 352.0, (panel,), words, "alarms"), caption)
 
 
 # --- all of them ---------------------------------------------------------------------------------
@@ -210,8 +215,7 @@ def draw_loop(name: str) -> Picture:
     """Return one picture of the loop on a simulated sensor with a hidden lag."""
     from manual.example import draw_example
 
-    figure, caption = draw_example()[name]
-    return Picture(figure, caption)
+    return Picture(*draw_example()[name])
 
 
 PICTURES: dict[str, Callable[[], Picture]] = {

@@ -8,7 +8,7 @@ import pytest
 
 from zerodrift.dataset.outliers import (
     LAGS,
-    OF_NORMAL,
+    NORMAL_OF_MAD,
     ROUNDS,
     _follow,
     _prepare,
@@ -121,7 +121,7 @@ def test_regression_of_steps_is_that_with_all_rows_weighted():
     factors = np.zeros(steps.shape[1])
     for _ in range(ROUNDS):
         left = np.abs(target - steps @ factors)
-        weight = np.minimum(1.0, 1.5 * OF_NORMAL * np.median(left) / left)
+        weight = np.minimum(1.0, 1.5 * NORMAL_OF_MAD * np.median(left) / left)
         weighted = steps * weight[:, None]
         factors = np.linalg.solve(weighted.T @ steps + ridge, weighted.T @ target)
     expected = sum(

@@ -76,7 +76,7 @@ def test_who_lacks_an_extra_is_told_its_name(place: Path, tmp_path: Path) -> Non
     project = write_project(tmp_path / "project", REST.replace('"none"', '"gru"'))
     for words, extra in (
         (("train", "-C", project), "pip install 'torch"),
-        (("workbench", "-C", project), "pip install 'plotly"),
+        (("workbench", "-C", project), "'dash>=3'"),
         (("record", "serial:/dev/none", "--out", "log.parquet"), "pip install 'pyserial"),
         (("record", "mqtt:localhost/a", "--out", "log.parquet"), "pip install 'pyserial"),
         (("record", "can:virtual:a", "--out", "log.parquet"), "pip install 'pyserial"),

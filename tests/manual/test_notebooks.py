@@ -48,7 +48,7 @@ def test_a_page_shows_what_the_cells_give(tmp_path):
     path = write_notebook(
         tmp_path / "some.ipynb",
         "print('\\x1b[1mbold\\x1b[0m')\n6 * 7",
-        "import plotly.graph_objects as go\ngo.Figure(go.Scatter(y=[1, 2]))",
+        "from zerodrift.report.svg import Picture\nPicture(40.0, 30.0, (), 'a picture')",
         "import polars as pl\npl.DataFrame({'a': [1.5]})",
         "%%writefile kept.txt\nof this notebook",
         "from pathlib import Path\nfrom IPython.display import display\n"
@@ -57,7 +57,7 @@ def test_a_page_shows_what_the_cells_give(tmp_path):
     page = render_notebook(path)
     assert page.startswith("# Title\n\n*[This notebook](some.ipynb)")
     assert "```text\nbold\n```" in page and "```text\n42\n```" in page
-    assert '<div class="plot"' in page and '"y":[1,2]' in page
+    assert '<div class="output"><svg' in page and 'aria-label="a picture"' in page
     assert '<div class="output">' in page and "<td>1.5</td>" in page
     assert "Traceback" not in page
     assert "'of this notebook" in page

@@ -104,7 +104,7 @@ def test_unknown_picture_stops_the_build():
 
 def test_picture_of_an_effect_is_put_into_its_page():
     html = put_pictures("before <!-- picture: effect creep --> after", "page.md")
-    assert html.startswith("before <figure>")
+    assert html.startswith("<style>") and 'before <figure class="picture"><svg' in html
     assert "Creep and creep recovery, computed from the declaration." in html
 
 

@@ -4,11 +4,12 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
-import plotly.graph_objects as go
+import numpy as np
 import pytest
 
 from zerodrift.base.errors import InputError
-from zerodrift.report.browser import find_browser, picture_pages
+from zerodrift.report.browser import find_browser, write_pictures
+from zerodrift.report.svg import AxisScale, Curve, Panel, Picture
 from zerodrift_lab.paper.figures import draw_heat
 from zerodrift_lab.paper.summary import Spread
 from zerodrift_lab.paper.why import Heat
@@ -31,16 +32,15 @@ def test_heat_has_a_look_per_method_and_a_row_per_training_logs() -> None:
         {pair: errors(2.0 * i + 1.0) for i, pair in enumerate([*pairs, ("lag_bank", SECOND)])}
     )
     figure = draw_heat(heat)
-    looks = {(trace.marker.color, trace.marker.symbol): set() for trace in figure.data}
-    for trace in figure.data:
-        looks[trace.marker.color, trace.marker.symbol].add(trace.name)
-    assert sorted(map(len, looks.values())) == [1, 1]
-    assert [trace.showlegend for trace in figure.data].count(True) == 2
-    assert list(figure.layout.yaxis.ticktext) == [CHAMBER, BENCH, SECOND]
-    shown = [x for trace in figure.data for x in trace.x]
+    clouds = [(number, c) for number, p in enumerate(figure.panels) for c in p.clouds]
+    assert len({(c.ink, c.mark) for _, c in clouds}) == 2
+    assert sum(bool(c.name) for _, c in clouds) == 2
+    ticks = figure.panels[0].y.ticks
+    assert ticks is not None and [words for _, words in ticks] == [CHAMBER, BENCH, SECOND]
+    shown = [x for _, c in clouds for x in c.x]
     told = [s.median for spreads in heat.errors.values() for s in spreads.values()]
     assert sorted(shown) == sorted(told)
-    places = [(trace.xaxis, y) for trace in figure.data for y in trace.y]
+    places = [(number, y) for number, c in clouds for y in c.y]
     assert len(set(places)) == len(places)
     assert {round(y) for _, y in places} == {0, 1, 2}
 
@@ -54,10 +54,13 @@ def has_browser() -> bool:
 
 @pytest.mark.skipif(not has_browser(), reason="neither Chromium nor Chrome is installed")
 def test_a_picture_comes_as_vectors_and_as_pixels(tmp_path: Path) -> None:
-    figure = go.Figure(go.Scatter(y=[1.0, 3.0, 2.0]))
-    figure.update_layout(title='Fz < Fx & "both", µm', height=300)
-    made = picture_pages({"fit of Fz": figure}, tmp_path / "pictures", tmp_path)
-    assert [path.name for path in made] == [f"fit_of_Fz.{kind}" for kind in ("svg", "pdf", "png")]
+    line = Curve(np.arange(3.0), np.array([1.0, 3.0, 2.0]), "model")
+    axis = AxisScale(0.0, 3.0)
+    panel = Panel(60.0, 30.0, 300.0, 200.0, axis, axis, 'Fz < Fx & "both", µm', (line,))
+    picture = Picture(400.0, 300.0, (panel,), "a line")
+    kinds = ("svg", "pdf", "png")
+    made = write_pictures({"fit of Fz": picture}, tmp_path / "pictures", tmp_path, kinds)
+    assert [path.name for path in made] == [f"fit_of_Fz.{kind}" for kind in kinds]
     svg, pdf, png = (path.read_bytes() for path in made)
     drawn = ElementTree.fromstring(svg)
     assert 'Fz < Fx & "both", µm' in "".join(drawn.itertext())

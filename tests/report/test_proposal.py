@@ -7,7 +7,8 @@ import pytest
 
 from zerodrift.base.records import render_sealed, to_dict
 from zerodrift.diagnosis.formula.proposal import FormulaCurve
-from zerodrift.report.pictures import MOST_OUTPUTS, ProposedFormula, draw_remainder
+from zerodrift.report.findings import ProposedFormula
+from zerodrift.report.pictures import MOST_OUTPUTS, draw_remainder
 from zerodrift.report.report import render_report
 from zerodrift.report.svg import render_svg
 from zerodrift.tasks.project import ProjectFolder, open_project

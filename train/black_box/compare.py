@@ -23,6 +23,7 @@ from zerodrift.train.black_box.signals import (
     measure_unit,
     pose,
 )
+from zerodrift.train.lag_bank.search import LONGEST_SHARE
 from zerodrift.train.refits import split_parts
 
 # A lag bank over every signal: levels, lags and products, solved by least squares in seconds.
@@ -37,8 +38,6 @@ MOST_ROWS = 6_000
 LAGS = 5
 """Low-passes of each signal."""
 SHORTEST_STEPS = 5.0
-LONGEST_SHARE = 0.25
-"""The longest time constant, of the longest run."""
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Of the mean square of a column."""
 KEPT = 1e-9

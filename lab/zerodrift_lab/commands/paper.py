@@ -11,6 +11,7 @@ from zerodrift.cli.common import json_option, print_json, print_notes
 from zerodrift.cli.console import open_console, show_progress
 
 if TYPE_CHECKING:
+    from zerodrift.report.svg import Picture
     from zerodrift_lab.paper.findings import Finding
     from zerodrift_lab.paper.plan import Plan
     from zerodrift_lab.paper.study import Outcome
@@ -190,17 +191,20 @@ def describe_table(table: "Table") -> dict[str, Any]:
     }
 
 
-def draw(figures: dict[str, Any], out: Path) -> tuple[list[Path], str]:
+KINDS = ("svg", "pdf", "png")
+
+
+def draw(figures: "dict[str, Picture]", out: Path) -> tuple[list[Path], str]:
     """Write the figures: one HTML page, and SVG, PDF and PNG where there is a browser."""
-    from zerodrift.report.browser import picture_pages
-    from zerodrift.report.figures import render_page as render_figures
+    from zerodrift.report.browser import write_pictures
+    from zerodrift.report.page import render_page as render_pictures
 
     page = out / "figures.html"
     write_text(
         page,
-        render_figures("The paper's experiments on the twin (simulated)", list(figures.values())),
+        render_pictures("The paper's experiments on the twin (simulated)", list(figures.values())),
     )
     try:
-        return [page, *picture_pages(figures, out / "pictures", out)], ""
+        return [page, *write_pictures(figures, out / "pictures", out, KINDS)], ""
     except InputError as error:
         return [page], f"no SVG, PDF or PNG was made, {page} holds the pictures: {error}"

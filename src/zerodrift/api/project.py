@@ -15,6 +15,13 @@ from zerodrift.diagnosis.history import Step
 from zerodrift.field.summary import MonitorResult, NeighbourResult, RegistryResult
 from zerodrift.fleet.joint_summary import FleetDiagnosis
 from zerodrift.fleet.summary import FleetSummary
+from zerodrift.report.pictures import (
+    draw_change,
+    draw_comparison,
+    draw_programme,
+    draw_ranking,
+    draw_stairs,
+)
 from zerodrift.report.results import (
     AddResult,
     BlockResult,
@@ -36,6 +43,7 @@ from zerodrift.report.results import (
     RemoveResult,
     TrainResult,
 )
+from zerodrift.report.svg import Picture
 from zerodrift.tasks.block import show_blocks
 from zerodrift.tasks.calibrate import CalibrateRequest, calibrate
 from zerodrift.tasks.compare import CompareRequest, compare
@@ -74,7 +82,6 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     import polars as pl
-    from plotly.graph_objects import Figure
 
     from zerodrift.api.frames import BeginningOptions, FrameOptions, Output, PandasFrame
 
@@ -262,12 +269,10 @@ class Project:
         compared = _run(compare, CompareRequest(self._folder, model))
         comparison = compared.comparison
 
-        def draw(output: str | None = None) -> "Figure":
-            from zerodrift.report.figures import draw_comparison
-
+        def draw(output: str | None = None) -> Picture:
             names = list(comparison.outputs)
-            figures = draw_comparison(self.dataset, compared.predictor.predict, comparison)
-            return figures[2 * (names.index(output) if output is not None else 0)]
+            drawn = draw_comparison(self.dataset, compared.predictor.predict, comparison)
+            return drawn[2 * (names.index(output) if output is not None else 0)]
 
         return with_picture(compared.summarise(), draw)
 
@@ -291,12 +296,10 @@ class Project:
                 " sensor=NAME)`. `diagnose_fleet` says what all units lack."
             )
 
-        def draw() -> "Figure":
-            from zerodrift.report.figures import draw_candidates
-
-            return draw_candidates(diagnosed.verdict.diagnosis)
-
-        return with_picture(diagnosed.summarise(self.directory), draw)
+        return with_picture(
+            diagnosed.summarise(self.directory),
+            lambda: draw_ranking(diagnosed.verdict.diagnosis),
+        )
 
     def diagnose_fleet(self) -> FleetDiagnosis:
         """Return what the design of a fleet lacks, by all of its units together.
@@ -397,12 +400,7 @@ class Project:
         request = PlanRequest(self._folder, hours, tuple(between), target, budget_s, within=within)
         found = _run(plan, request).result
 
-        def draw() -> "Figure":
-            from zerodrift.report.figures import draw_plan
-
-            return draw_plan(found)
-
-        return with_picture(found, draw)
+        return with_picture(found, lambda: draw_programme(found))
 
     def add(
         self,
@@ -951,13 +949,8 @@ class Project:
         if told is None:
             return follower
 
-        def draw() -> "Figure":
-            from zerodrift.report.figures import draw_revision
-
-            before, after = told.before.rmse_heldout, told.after.rmse_heldout
-            return draw_revision(before, after, told.noise_floor)
-
-        follower.revision = with_picture(told, draw)
+        before, after = told.before.rmse_heldout, told.after.rmse_heldout
+        follower.revision = with_picture(told, lambda: draw_change(before, after, told.noise_floor))
         return follower
 
     def __repr__(self) -> str:
@@ -973,9 +966,5 @@ def _run(task: Callable[[Request, Progress], Outcome], request: Request) -> Outc
 
 
 def _draw_steps(steps: Sequence[Step]) -> HistoryResult:
-    def draw() -> "Figure":
-        from zerodrift.report.figures import draw_staircase
-
-        return draw_staircase(steps)
-
-    return with_picture(HistoryResult(tuple(step.summarise() for step in steps)), draw)
+    summary = HistoryResult(tuple(step.summarise() for step in steps))
+    return with_picture(summary, lambda: draw_stairs(steps))

@@ -20,8 +20,7 @@ class Extra:
 
 
 TRAIN = Extra("train", "torch", "PyTorch")
-PAGE = Extra("page", "plotly", "Plotly")
-WORKBENCH = Extra("page", "dash", "Dash")
+PAGE = Extra("page", "dash", "Dash")
 FLEET = Extra("fleet", "ray", "Ray")
 FLEET_URL = Extra("fleet", "fsspec", "fsspec")
 RECORD_SERIAL = Extra("record", "serial", "pySerial")

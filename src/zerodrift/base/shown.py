@@ -3,10 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from html import escape
-from typing import TYPE_CHECKING, TypeVar
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
+from typing import TypeVar
 
 T = TypeVar("T", bound="Shown")
 MOST_ROWS = 24
@@ -19,16 +16,16 @@ EPOCH = 1e8
 class Shown:
     """A frozen record that a notebook shows as tables."""
 
-    def plot(self, *arguments: object, **options: object) -> "Figure":
-        """Return the result as a Plotly figure.
+    def plot(self, *arguments: object, **options: object) -> object:
+        """Return the result as a picture, which a notebook shows; see `zerodrift.report.svg`.
 
         Raises:
             TypeError: the result was read from a file, without the data to draw.
 
         Example:
-            >>> figure = project.compare().plot("Fz")
-            >>> type(figure).__name__
-            'Figure'
+            >>> picture = project.compare().plot("Fz")
+            >>> type(picture).__name__
+            'Picture'
         """
         draw = getattr(self, "_draw", None)
         if draw is None:
@@ -36,8 +33,7 @@ class Shown:
                 f"this {type(self).__name__} holds no data to draw; expected one that a Project "
                 "returned. Call the Project's method again."
             )
-        figure: Figure = draw(*arguments, **options)
-        return figure
+        return draw(*arguments, **options)
 
     def _repr_html_(self) -> str:
         """Return the record as HTML tables: single values first, then one table per collection."""

@@ -101,10 +101,13 @@ def equal(a: IntegerNode, b: IntegerNode) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)  # type: ignore[arg-type]
 
 
+InputOrLoad = TypeVar("InputOrLoad", IntegerInput, IntegerLoad)
+
+
 def align_input(
-    nodes: list[IntegerInput], coarser: list[list[int]], design: IntegerInput | None
+    nodes: list[InputOrLoad], coarser: list[list[int]], design: InputOrLoad | None
 ) -> Aligned:
-    """Return inputs whose codes are shifted by no more than any unit has room for."""
+    """Return inputs or loads that are shifted by no more than any unit has room for."""
     shift = _choose_least_shift(nodes, design)
     out: list[IntegerNode] = [replace(n, shift=shift) for n in nodes]
     return Aligned(out, [n.shift - shift for n in nodes])
@@ -178,15 +181,6 @@ def align_product(
         for n, d in zip(nodes, by, strict=True)
     ]
     return Aligned(out, by)
-
-
-def align_load(
-    nodes: list[IntegerLoad], coarser: list[list[int]], design: IntegerLoad | None
-) -> Aligned:
-    """Return loads that are shifted by no more than any unit has room for."""
-    shift = _choose_least_shift(nodes, design)
-    out: list[IntegerNode] = [replace(n, shift=shift) for n in nodes]
-    return Aligned(out, [n.shift - shift for n in nodes])
 
 
 def align_exp2(
@@ -724,7 +718,7 @@ def _rule(of: Callable[[list[Node], list[list[int]], Node | None], Aligned]) -> 
 
 RULES: dict[type[IntegerNode], Rule] = {
     IntegerInput: _rule(align_input),
-    IntegerLoad: _rule(align_load),
+    IntegerLoad: _rule(align_input),
     IntegerExp2: _rule(align_exp2),
     IntegerPlay: _rule(align_play),
     IntegerDelay: _rule(align_delay),

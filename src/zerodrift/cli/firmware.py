@@ -173,11 +173,6 @@ def command(request: FirmwareRequest, as_json: bool) -> None:
         )
 
 
-def _is_learnt(firmware: Firmware) -> bool:
-    """Return whether a network or lag bank was learnt besides the physical model."""
-    return any(e.physics is not None for e in firmware.errors)
-
-
 def explain_worse_than_physics(errors: Sequence[OutputError]) -> str:
     """Return a sentence on outputs that the physical model alone predicts better, or ""."""
     worse = [
@@ -201,7 +196,7 @@ def _print(firmware: Firmware, told: FirmwareSummary, directory: Path, asked: Bl
         ("output", "unit"),
         (
             "uncompensated",
-            *(["physics alone"] if _is_learnt(firmware) else []),
+            *(["physics alone"] if (any(e.physics is not None for e in firmware.errors)) else []),
             "float",
             "integer",
             "% FS",

@@ -17,11 +17,11 @@ from zerodrift.base.column_config import (
 )
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError
+from zerodrift.base.files import show_path
 from zerodrift.dataset.checks import guess_temperature_unit, locate_row
 from zerodrift.dataset.conversions import convert, emf, find_span, find_sure_span
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.runs import Dataset, Run
-from zerodrift.dataset.tables import label_log
 
 # The raw codes of a converted input that are readings, and those that the chip's table covers.
 
@@ -760,7 +760,7 @@ def _explain_row(config: Config, codes: ChipCodes, run: Run, row: int) -> InputE
     if len(tables) > 1:  # a thermocouple and its cold junction; its quantity is in no one file
         outputs = [output.name for output in config.outputs]
         value = float(read_source(outputs, codes.source, run)[row])
-        where = label_log(run.source, config.directory)
+        where = show_path(run.source, config.directory)
         return codes.explain(f"{where}: at {run.time_s[row]:g} s", run, value)
     (table,) = tables
     source = table.source

@@ -400,7 +400,7 @@ def _choose_outputs(
             short = re.sub(r"[^A-Za-z0-9_]+", "_", measured).strip("_")
         peak = max(abs(column.low), abs(column.high))
         if reference is None and column.high - column.low < STEADY * peak:
-            reference = _round_nominal(column.median)
+            reference = float(f"{column.median:.3g}")
             alternatives[f"outputs.{short}.reference"] = (
                 "the true value, as a number or a column",
             )
@@ -438,11 +438,6 @@ def round_up(peak: float) -> float:
     decade = 10.0 ** np.floor(np.log10(largest))
     scale = next(s * decade for s in FULL_SCALE_STEPS if s * decade >= largest)
     return float(f"{scale:.3g}")
-
-
-def _round_nominal(value: float) -> float:
-    """Return a nearly constant value rounded to three digits: its likely nominal value."""
-    return float(f"{value:.3g}")
 
 
 def _choose_period(

@@ -10,7 +10,9 @@ import numpy as np
 from zerodrift.base.arrays import Array, find_median, find_quantile
 from zerodrift.base.config import DWELL, TEST, TRAIN, USES, Config, locate_key
 from zerodrift.base.errors import InputError
+from zerodrift.base.files import show_path
 from zerodrift.dataset.checks import check_period, guess_temperature_unit, locate_row
+from zerodrift.dataset.conversions import KELVIN
 from zerodrift.dataset.open_log import open_log
 from zerodrift.dataset.runs import Dataset, Run, share_resolution
 from zerodrift.dataset.sampling import (
@@ -30,7 +32,7 @@ from zerodrift.dataset.shared_rows import (
     name_runs,
     refuse_overlaps,
 )
-from zerodrift.dataset.tables import LogTable, label_log
+from zerodrift.dataset.tables import LogTable
 from zerodrift.dataset.units import are_alike, read_time_unit, read_unit, refuse_unit, tell_time
 
 # What is odd in logs that can be read: a run in another unit, readings far from their neighbours.
@@ -48,7 +50,6 @@ UNIT_RATIOS = {
 RATIO_TOLERANCE = 0.02
 FOLLOWS = 0.98
 """A reading follows its reference if this share of its variance lies on a line through it."""
-KELVIN = 273.15
 APART_K = 150.0
 """A run this much hotter than every other one, throughout, is looked at."""
 SAMPLE = 20_000
@@ -287,7 +288,7 @@ def _plan_run(
     source = table.source
     who = f"{source.label}: run '{run}'" if run else source.label
     if len(selection.files) > 1:
-        who = label_log(selection.path, config.directory)
+        who = show_path(selection.path, config.directory)
     time_s = table.columns[config.time_column]
     span_s = (0.0, math.inf)
     start_s = float(time_s[start])

@@ -10,12 +10,12 @@ from zerodrift.base.arrays import Mask
 from zerodrift.base.column_config import fits
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import show_path
 from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.formats.registry import find_format, read_tables
 from zerodrift.dataset.tables import (
     LogTable,
     Source,
-    label_log,
     open_source,
     read_table,
     refuse_no_file,
@@ -159,7 +159,7 @@ def read_log(
     """
     needed = add_junctions(config, needed)
     if len(files) == 1:
-        opened = open_sources(files[0], label_log(files[0], config.directory), config.where)
+        opened = open_sources(files[0], show_path(files[0], config.directory), config.where)
         if len(opened) == 1:
             (source,) = opened
             is_whole = bool(source.part)  # a sheet, group or topic: written from what is read
@@ -217,7 +217,7 @@ def _open_all(config: Config, files: Sequence[Path]) -> tuple[list[Source], list
     sources, refused = [], []
     for path in files:
         try:
-            sources += open_sources(path, label_log(path, config.directory), {})
+            sources += open_sources(path, show_path(path, config.directory), {})
         except InputError as error:
             if isinstance(error.__cause__, OSError):
                 raise
@@ -332,7 +332,7 @@ def find_log_clock(config: Config, source: Source) -> Clock | None:
 
 def _label(files: Sequence[Path], config: Config) -> str:
     folder = files[0].parent
-    return label_log(folder, config.directory) if folder != config.directory else files[0].name
+    return show_path(folder, config.directory) if folder != config.directory else files[0].name
 
 
 def _explain_missing(

@@ -8,6 +8,7 @@ import numpy as np
 from zerodrift.base.column_config import FACTORS, TIME_UNITS, CodesConfig
 from zerodrift.base.config import Config, locate_key
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import show_path
 from zerodrift.dataset.checks import (
     SKIP,
     check_time,
@@ -24,7 +25,7 @@ from zerodrift.dataset.conversions import convert
 from zerodrift.dataset.join import join_tables
 from zerodrift.dataset.logs import read_log
 from zerodrift.dataset.selectors import Selection
-from zerodrift.dataset.tables import LogTable, Source, label_log
+from zerodrift.dataset.tables import LogTable, Source
 from zerodrift.dataset.units import normalise_unit, read_time_unit
 
 # Units that a log itself states, by a row of units or its format, against zerodrift.toml's.
@@ -218,7 +219,7 @@ def open_log(
         spans = _split_runs(config, table, skip_invalid, notes)
     if len(tables) == 1:
         return table, spans
-    joined = join_tables(config, tables, label_log(selection.path, config.directory), notes)
+    joined = join_tables(config, tables, show_path(selection.path, config.directory), notes)
     holes = columns is not None
     convert_joined(config, joined, tables, skip_invalid, holes, notes)
     return joined, [("", 0, len(joined))]

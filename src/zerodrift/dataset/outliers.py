@@ -28,9 +28,10 @@ NEIGHBOURS = 9
 """Samples whose median tells what one of them should be, itself included."""
 NEARBY = 129
 """Samples over which the spread may change: a noisier stretch of time is no outlier."""
+NORMAL_OF_MAD = 1.4826
+"""Standard deviation of normal values over their median absolute deviation."""
 LINE = 7
 """Samples on one side through which a straight line is laid."""
-OF_NORMAL = 1.4826
 """Standard deviation of normal noise over its median absolute value."""
 OF_DISTANCE = 1.8
 """The same for its distance from the median of nine, which is one of the nine now and then."""
@@ -236,7 +237,7 @@ def find_jumps(temperature_degC: Array, reference: Array, inputs: Mapping[str, A
 def _find_jumps(signals: Array) -> Mask:
     """Return the rows [n] next to which a signal jumps."""
     steps = np.abs(np.diff(signals, axis=0))
-    usual = OF_NORMAL * np.median(steps, axis=0)
+    usual = NORMAL_OF_MAD * np.median(steps, axis=0)
     jumps = (steps > np.maximum(EVENT * usual, 1e-3)).any(axis=1)
     near = np.concatenate([jumps, [False]]) | np.concatenate([[False], jumps])
     reach = 2 * max(LAGS) + 1
@@ -277,7 +278,9 @@ def _follow(x: Array, signals: Array, regression: _Regression) -> Array:
     factors = np.zeros(design.shape[1])
     for _ in range(ROUNDS):
         left = np.abs(target - design @ factors)
-        usual = max(OF_NORMAL * float(np.median(left)), 1e-12 * float(np.abs(x).max(initial=0.0)))
+        usual = max(
+            NORMAL_OF_MAD * float(np.median(left)), 1e-12 * float(np.abs(x).max(initial=0.0))
+        )
         if usual == 0.0:
             break
         # Most rows have their whole weight: only what the others lack is taken off.

@@ -303,11 +303,6 @@ def write_text(column: str, frame: pl.LazyFrame) -> pl.Expr:
     return value.cast(pl.String)
 
 
-def label_log(path: Path, directory: Path) -> str:
-    """Return how messages name a log: relative to the project where it lies within."""
-    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
-
-
 def open_source(path: Path, label: str, where: Mapping[str, str]) -> Source:
     """Read a log's column names, and how it is written.
 

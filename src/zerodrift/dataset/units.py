@@ -50,6 +50,13 @@ def tell_time(time_s: float) -> str:
     return write_time(time_s) + ("" if is_unix(time_s) else " s")
 
 
+def write_duration(seconds: float) -> str:
+    """Return a time as people say it."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
 def read_time_unit(column: str) -> str:
     """Return the unit that a time column's name states (`t_ms`, `Time (min)`), or nothing."""
     match = re.search(r"(?:^|[\s_\[(])([A-Za-z]+)[\])]?$", column.strip())

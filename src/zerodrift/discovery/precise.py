@@ -15,7 +15,7 @@ from zerodrift.diagnosis.examination import fit_base, measure_rest
 from zerodrift.discovery.contenders import Scene, Truth, draw_fitted, spread_typical
 from zerodrift.discovery.criterion import ROWS, Judge, Staged
 from zerodrift.discovery.limits import Limits, resolve_limits
-from zerodrift.discovery.plan import Question, leave_alone, open_blank
+from zerodrift.discovery.plan import LINE, Question, leave_alone, open_blank
 from zerodrift.discovery.programme import SetProgramme
 from zerodrift.discovery.search import (
     QUIET_S,
@@ -140,7 +140,6 @@ HOURS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 """Hours that are tried for further units, shortest first."""
 NARROW = 0.05
 """A standard error of this share is half of what precision is worth."""
-LINE = 2e-4
 EDGE = 0.02
 """Of the profile's range, by which it may lie beyond the logs: a body follows its chamber late."""
 COVERED = 0.99

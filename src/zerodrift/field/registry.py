@@ -527,7 +527,7 @@ class Registry:
             " UNION ALL SELECT loaded_at, 4, 'loaded', 'block ' || substr(sha256, 1, 12)"
             " FROM loaded WHERE serial = :s"
             " UNION ALL SELECT found_at, 5, 'finding', output || ', ' || state || ': ' || told"
-            " FROM finding WHERE serial = :s ORDER BY at, rank",
+            " FROM finding WHERE serial = :s ORDER BY at, rank, 4",
             serial,
         )
         return tuple(Event(str(at), str(kind), str(text)) for at, _, kind, text in rows)
@@ -590,9 +590,10 @@ def _find_unit(cursor: sqlite3.Cursor, serial: str) -> tuple[str, str] | None:
 def _add_logs(
     cursor: sqlite3.Cursor, serial: str, purpose: str, logs: tuple[tuple[str, str], ...]
 ) -> None:
+    at = _now()
     cursor.executemany(
         "INSERT OR IGNORE INTO log VALUES (?, ?, ?, ?, ?)",
-        [(sha256, serial, name, purpose, _now()) for sha256, name in logs],
+        [(sha256, serial, name, purpose, at) for sha256, name in logs],
     )
 
 

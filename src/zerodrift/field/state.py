@@ -39,14 +39,15 @@ class OutputState:
         )
 
 
+def shorten(values: Array) -> tuple[float, ...]:
+    """Return numbers as they are kept, to 9 digits."""
+    return tuple(float(f"{value:.9g}") for value in values)
+
+
 def keep_output(
     blocks: BlockMeans, learned: Learned | None, finding: ChangeFound | None
 ) -> OutputState:
     """Return the state of an output; the numbers are kept to 9 digits."""
-
-    def shorten(values: Array) -> tuple[float, ...]:
-        return tuple(float(f"{value:.9g}") for value in values)
-
     return OutputState(
         tuple(int(p) for p in blocks.place),
         shorten(blocks.count),

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from zerodrift.base.arrays import Array, IntArray
+from zerodrift.dataset.outliers import NORMAL_OF_MAD
+from zerodrift.dataset.times import DAY_S
 from zerodrift.field.noise import BlockNoise, fit_noise
 
 STEP, AGEING, OTHER_MODEL, OTHER_UNIT = CAUSES = ("step", "ageing", "other model", "other unit")
-DAY_S = 86_400.0
 MONTH_S = 30 * DAY_S
 SHARES = {STEP: 0.4, AGEING: 0.3, OTHER_UNIT: 0.3}
 """Of the false alarms."""
@@ -541,7 +542,6 @@ def _hold(ratios: list[_Ratios], causes: tuple[str, ...], n: int) -> tuple[int, 
 
 FAR = 4.0
 """Standard deviations of its block's samples beyond which a sample counts as that far off."""
-MAD = 1.4826
 """Of a normal distribution: standard deviation over median absolute deviation."""
 FEWEST_READINGS = 8
 """Samples in a block from which its own spread tells a spike."""
@@ -567,7 +567,7 @@ def make_blocks(time_s: Array, residual: Array, temperature: Array, block_s: flo
     middle = _take_median(table, count)
     away = np.full(table.shape, np.inf)
     away[row, column] = np.abs(residual - middle[row])
-    spread = FAR * MAD * _take_median(away, count)
+    spread = FAR * NORMAL_OF_MAD * _take_median(away, count)
     spread[count < FEWEST_READINGS] = np.inf
     clipped = np.clip(residual, (middle - spread)[row], (middle + spread)[row])
     means = [np.add.reduceat(values, begin) / count for values in (clipped, temperature)]

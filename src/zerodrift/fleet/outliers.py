@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from zerodrift.base.arrays import Array
+from zerodrift.dataset.outliers import NORMAL_OF_MAD
 from zerodrift.fleet.result import SensorResult
 
 FEWEST = 8
 """With fewer sensors there is no telling what is usual."""
-NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 TAILS = (0.1, 0.9)
 """What lies beyond one of these shares of the fleet is no outlier but a second population."""
@@ -108,7 +108,7 @@ def measure_spread(x: Array) -> tuple[float, float]:
     middle = float(np.median(x))
     low, high = np.quantile(x, TAILS)
     mad = float(np.median(np.abs(x - middle)))
-    return middle, max(NORMAL_MAD * mad, float(high - low) / NORMAL_TAILS)
+    return middle, max(NORMAL_OF_MAD * mad, float(high - low) / NORMAL_TAILS)
 
 
 def _list_quantities(results: Sequence[SensorResult]) -> list[_Quantity]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from zerodrift.base.errors import InputError
+from zerodrift.base.files import show_path
 from zerodrift.base.journal import write_all
 from zerodrift.base.records import MEASURED, from_json, read_sealed, render_sealed, to_dict
 from zerodrift.export.integer_model import IntegerModel
@@ -139,7 +140,7 @@ def save_result(
         InputError: they cannot be written; the old ones are as they were.
     """
     hashes = {
-        _name(path, project): hashlib.sha256(content).hexdigest()
+        show_path(path, project): hashlib.sha256(content).hexdigest()
         for path, content in files.items()
         if content is not None
     }
@@ -185,7 +186,3 @@ def hash_file(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-
-
-def _name(path: Path, project: Path) -> str:
-    return str(path.relative_to(project)) if path.is_relative_to(project) else str(path)

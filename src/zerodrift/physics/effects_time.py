@@ -3,10 +3,9 @@
 import math
 from collections.abc import Sequence
 
+from zerodrift.dataset.times import DAY_S
 from zerodrift.operations.backend import Operations
 from zerodrift.physics.effect import Effect, Feature, Parameter, S, Signals, Values, register
-
-DAY_S = 86400.0
 
 
 def build_warm_up(ops: Operations[S], signals: Signals[S], p: Values) -> Sequence[Feature[S]]:

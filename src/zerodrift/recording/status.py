@@ -14,6 +14,7 @@ from pathlib import Path
 from zerodrift.base.errors import InputError
 from zerodrift.base.files import make_directory, name_beside, write_beside
 from zerodrift.base.records import from_json, to_dict
+from zerodrift.dataset.units import write_duration
 from zerodrift.recording.coverage import Coverage, Covered, CoveredRange
 from zerodrift.recording.recorder import Show, name_journal
 
@@ -44,8 +45,8 @@ def _explain(one: CoveredRange) -> str:
     unit = f" {one.unit}" if one.unit else ""
     if one.what == "time":
         left = max(one.wanted_high - one.high, 0.0)
-        reached, whole = _write_time(one.high), _write_time(one.wanted_high)
-        return f"time: {reached} of {whole}, {_write_time(left)} more"
+        reached, whole = write_duration(one.high), write_duration(one.wanted_high)
+        return f"time: {reached} of {whole}, {write_duration(left)} more"
     if one.what in ("heating", "cooling"):
         return f"{one.what}: {one.high:.3g} of {one.wanted_high:.3g}{unit}"
     if one.low == one.high == 0.0 and one.share == 0.0:
@@ -59,12 +60,6 @@ def _explain(one: CoveredRange) -> str:
     return (
         f"{one.what}: {one.low:.4g} to {one.high:.4g}{unit} so far; go {' and '.join(lacks)}{unit}"
     )
-
-
-def _write_time(seconds: float) -> str:
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 # What a recording that runs tells of itself, for whoever looks: the page shows it.

@@ -20,12 +20,12 @@ from zerodrift.diagnosis.contribution import Contribution
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.diagnosis.diagnosis import ExplainedDiagnosis
 from zerodrift.diagnosis.drivers import measure_slope
+from zerodrift.diagnosis.formula.proposal import FormulaCurve
 from zerodrift.diagnosis.history import Step
 from zerodrift.diagnosis.run_errors import RunError
 from zerodrift.diagnosis.summary import ComparisonSummary
 from zerodrift.physics.description import EffectDescription
 from zerodrift.physics.summary import ModelSummary
-from zerodrift.report.pictures import ProposedFormula
 from zerodrift.verify.summary import CertificateSummary, FirmwareSummary, StatedUncertainty
 
 FILE_NAME = "findings.json"
@@ -88,6 +88,18 @@ class Provenance:
     """Package -> version."""
     mark: str
     """One hash of all files."""
+
+
+@dataclass(frozen=True)
+class ProposedFormula:
+    """What the last `propose` said of the project as it is."""
+
+    formula: str | None
+    """None: there is no formula."""
+    sentences: tuple[str, ...]
+    curves: Mapping[str, FormulaCurve]
+    """Output -> points; empty without a formula."""
+    units: Mapping[str, str]
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,12 @@ import html
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from zerodrift.report.svg import Picture, render_svg, write_colours, write_dark_colours
 from zerodrift.report.tables import Table
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
 TEMPLATES = files("zerodrift.report") / "templates"
 
@@ -23,7 +19,6 @@ def _environment() -> Environment:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["figure"] = embed_figure
     environment.filters["table"] = render_table
     environment.filters["picture"] = embed_picture
     return environment
@@ -32,18 +27,6 @@ def _environment() -> Environment:
 def read_asset(name: str) -> str:
     """Return the text of a style sheet, a script or a template."""
     return (TEMPLATES / name).read_text(encoding="utf-8")
-
-
-def embed_figure(figure: "go.Figure", label: str = "") -> Markup:
-    """Return a figure's place in a page, with its data; the page's script draws it."""
-    data = figure.to_json(remove_uids=True, validate=False)
-    height = int(figure.layout.height or 400)
-    return Markup(
-        f'<figure><div class="plot" role="img" aria-label="{html.escape(label)}" '
-        f'style="height:{height}px"></div>'
-        f'<script type="application/json">{data.replace("</", "<" + chr(92) + "/")}</script>'
-        "</figure>"
-    )
 
 
 def embed_picture(picture: Picture) -> Markup:
@@ -84,15 +67,9 @@ def render_template(name: str, values: Mapping[str, object]) -> str:
         "pictures": Markup(write_colours() + dark),
         "script": Markup(read_asset("page.js")),
     }
-    if "plotly" in template:
-        from plotly.offline import get_plotlyjs
-
-        assets["plotly"] = Markup(get_plotlyjs())
     return _environment().from_string(template).render(**assets, **values) + "\n"
 
 
-def render_page(title: str, figures: "Sequence[go.Figure]", notes: Sequence[str] = ()) -> str:
-    """Return one HTML page with all figures and the plotting code inside it."""
-    return render_template(
-        "figures.html.j2", {"title": title, "figures": list(figures), "notes": list(notes)}
-    )
+def render_page(title: str, drawn: Sequence[Picture], notes: Sequence[str] = ()) -> str:
+    """Return one HTML page with notes and pictures."""
+    return render_template("figures.html.j2", {"title": title, "drawn": drawn, "notes": notes})

@@ -1,19 +1,26 @@
-"""The loop's pictures for page and report: staircase, ranking, change, and error budget."""
+"""The loop's pictures for page, report and notebooks: runs, staircase, ranking, change, budget."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
+from zerodrift.base.arrays import Array
+from zerodrift.dataset.runs import Dataset, Run
+from zerodrift.diagnosis.compare import Comparison
 from zerodrift.diagnosis.diagnosis import Diagnosis, write_probability
+from zerodrift.diagnosis.fingerprint import Fingerprint
 from zerodrift.diagnosis.formula.proposal import FormulaCurve
 from zerodrift.diagnosis.history import Step
+from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.diagnosis.summary import ComparisonSummary
 from zerodrift.discovery.summary import PlannedSetting, PlanSummary
+from zerodrift.report.findings import Trace, trace_runs
 from zerodrift.report.svg import (
     DASH_ORDER,
     MARK_ORDER,
     AxisScale,
+    Band,
     Bar,
     Cloud,
     Curve,
@@ -22,25 +29,14 @@ from zerodrift.report.svg import (
     Picture,
     spread,
 )
+from zerodrift.report.window import pick_rows
 from zerodrift.verify.summary import FirmwareSummary
 
-# The last formula of `propose` for report and page: in words, and against what is left.
+# The last formula of `propose` for report and page, against what is left.
 
 MOST_OUTPUTS = 6
 """Outputs that have a panel."""
 COLUMNS = 3
-
-
-@dataclass(frozen=True)
-class ProposedFormula:
-    """What `propose` said of the project as it is."""
-
-    formula: str | None
-    """None: there is no formula."""
-    sentences: tuple[str, ...]
-    curves: Mapping[str, FormulaCurve]
-    """Output -> points; empty without a formula."""
-    units: Mapping[str, str]
 
 
 def draw_remainder(
@@ -203,8 +199,9 @@ def draw_stairs(steps: Sequence[Step], width: float = 760.0) -> Picture:
     return Picture(width, 290.0, (panel,), words, "staircase")
 
 
-def _shorten(label: str, width: float, count: int) -> str:
-    most = max(int((width - 70.0) / (LETTER * max(count, 1))) - 1, 4)
+def _shorten(label: str, width: float, count: float) -> str:
+    """Return a label as long as fits, where `count` of them fill the picture."""
+    most = max(int((width - 70.0) / (LETTER * max(count, 1.0))) - 1, 4)
     return label if len(label) <= most else f"{label[: most - 1]}…"
 
 
@@ -319,3 +316,166 @@ def _draw_rows(
     )
     words = f"{title} of each output: {', '.join(one[0] for one in series)}."
     return Picture(width, height + 76.0, (panel,), words, name)
+
+
+# Measurement, model and what is left along the runs, as `compare` finds them.
+
+POINTS = 700
+"""Of each line in a run."""
+MOST_OUTLIERS = 500
+"""Outliers that are drawn of one run and output."""
+LAGS = 60
+BETWEEN = 0.02
+"""Room between two runs, as a share of the first one's length."""
+
+
+def draw_comparison(
+    dataset: Dataset, predict: Callable[[Run], Array], comparison: Comparison
+) -> list[Picture]:
+    """Return the pictures of `compare`: per output the runs, and the autocorrelation of the errors.
+
+    Runs that were held out show the held-out prediction.
+    """
+    runs = [*dataset.train, *dataset.test]
+    held_out = comparison.method.predictions
+    predictions = {
+        run.name: held_out[run.name] if run.name in held_out else predict(run) for run in runs
+    }
+    errors = collect_errors(runs, predictions, comparison.tared, comparison.find_usable)
+    traces = trace_runs(errors, [run.name for run in comparison.runs if run.held_out is not None])
+    told = comparison.summarise()
+    return [
+        draw(traces, told, name)
+        for name in comparison.outputs
+        for draw in (draw_runs, draw_autocorrelation)
+    ]
+
+
+def draw_runs(
+    traces: Sequence[Trace], compared: ComparisonSummary, output: str, width: float = 1000.0
+) -> Picture:
+    """Return measured drift and model, and what is left, of one output; runs laid end to end.
+
+    Runs in brackets are those that the model learnt from. The worst segments are numbered as
+    tabled.
+    """
+    k, told = list(compared.outputs).index(output), compared.outputs[output]
+    drifts, models, lefts, wild = (list[tuple[Array, Array]]() for _ in range(4))
+    middles, begins, bands, end_h = [], [0.0], [], 0.0
+    for trace in traces:
+        hours = (trace.time_s - trace.time_s[0]) / 3600.0 + end_h
+        drift, error = trace.drift[k], trace.error[k]
+        for line, values in ((drifts, drift), (models, drift - error), (lefts, error)):
+            kept = pick_rows(values, 0, values.size, POINTS)
+            line += [(hours[kept], values[kept]), (np.full(1, np.nan), np.full(1, np.nan))]
+        rows = trace.outliers[trace.outliers[:, 1] == k, 0][:MOST_OUTLIERS]
+        wild.append((hours[rows], drift[rows]))
+        start_h = float(trace.time_s[0]) / 3600.0 - end_h
+        bands += [
+            Band(one.from_s / 3600.0 - start_h, one.to_s / 3600.0 - start_h, str(number))
+            for number, one in enumerate(compared.worst, 1)
+            if (one.run, one.output) == (trace.run, output)
+        ]
+        middles.append(0.5 * float(hours[0] + hours[-1]))
+        end_h = float(hours[-1]) + max(BETWEEN * float(hours[-1] - hours[0]), 1e-3)
+        begins.append(end_h)
+    names = [
+        _shorten(trace.run if trace.held_out else f"({trace.run})", width, end_h / (after - before))
+        for trace, before, after in zip(traces, begins, begins[1:], strict=False)
+    ]
+    drift, model, left = map(_join, (drifts, models, lefts))
+    floor, edges = float(told.noise_floor), [Level(at, upright=True) for at in begins[1:-1]]
+    x = AxisScale(0.0, end_h, ticks=tuple(zip(middles, names, strict=True)))
+    upper = Panel(
+        left=62.0,
+        top=26.0,
+        width=width - 74.0,
+        height=190.0,
+        x=replace(x, hidden=True),
+        y=AxisScale(*spread(drift[1], model[1])),
+        title=f"drift of {output}, {told.unit}",
+        curves=(
+            Curve(*drift, "measured", "drift as measured", width=2.2),
+            Curve(*model, "model", "model", "dash", 1.6),
+        ),
+        clouds=(Cloud(*_join(wild), "worst", "outliers, hardly counted", "cross"),)
+        if any(rows.size for rows, _ in wild)
+        else (),
+        levels=tuple(edges),
+    )
+    lower = Panel(
+        left=62.0,
+        top=252.0,
+        width=width - 74.0,
+        height=150.0,
+        x=replace(x, title="runs; in brackets those that the model learnt from"),
+        y=AxisScale(*spread(left[1], around=(-floor, floor))),
+        title=f"what is left, {told.unit}",
+        curves=(Curve(*left, "left"),),
+        bands=tuple(bands),
+        levels=(*edges, Level(-floor), Level(floor, "noise floor")),
+    )
+    words = f"Measured drift and model of {output} along all runs, and what is left."
+    return Picture(width, 450.0, (upper, lower), words, f"{output}_runs")
+
+
+def _join(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    x, y = zip(*parts, strict=True)
+    return np.concatenate(x), np.concatenate(y)
+
+
+def draw_autocorrelation(
+    traces: Sequence[Trace], compared: ComparisonSummary, output: str, width: float = 1000.0
+) -> Picture:
+    """Return the autocorrelation of what is left of one output, within runs."""
+    k = list(compared.outputs).index(output)
+    lags_s, correlation = measure_autocorrelation(traces, k)
+    gap = np.full(lags_s.size, np.nan)
+    panel = Panel(
+        left=62.0,
+        top=26.0,
+        width=width - 74.0,
+        height=110.0,
+        x=AxisScale(-0.5 * float(lags_s[1]), float(lags_s[-1] + 0.5 * lags_s[1]), "lag, s"),
+        y=AxisScale(-1.05, 1.05),
+        title=f"autocorrelation, {output}",
+        curves=(
+            Curve(
+                np.column_stack([lags_s, lags_s, gap]).ravel(),
+                np.column_stack([np.zeros(lags_s.size), correlation, gap]).ravel(),
+                "left",
+                width=5.0,
+            ),
+        ),
+    )
+    words = f"Autocorrelation of what is left of {output}, within runs."
+    return Picture(width, 182.0, (panel,), words, f"{output}_autocorrelation")
+
+
+def measure_autocorrelation(traces: Sequence[Trace], k: int) -> tuple[Array, Array]:
+    """Return lags in seconds, and the autocorrelation of one output's errors within runs."""
+    longest = max(trace.time_s.size for trace in traces)
+    step = max(1, longest // (4 * LAGS))
+    lags = np.arange(LAGS) * step
+    total, square = np.zeros(LAGS), 0.0
+    for trace in traces:
+        x = trace.error[k] - trace.error[k].mean()
+        square += float(x @ x)
+        total += [float(x[lag:] @ x[: x.size - lag]) if lag < x.size else 0.0 for lag in lags]
+    shares = total / square if square > 0.0 else total
+    return np.asarray(lags * traces[0].sample_period_s), np.asarray(shares)
+
+
+def draw_fingerprint(title: str, told: Fingerprint, width: float = 760.0) -> Picture:
+    """Return what an effect looks like in the experiment that shows it best."""
+    panel = Panel(
+        left=62.0,
+        top=26.0,
+        width=width - 74.0,
+        height=230.0,
+        x=AxisScale(*spread(told.x, margin=0.0), told.x_label),
+        y=AxisScale(*spread(told.y)),
+        title=f"drift, share of its largest; {told.experiment}",
+        curves=(Curve(told.x, told.y, "model", width=2.0),),
+    )
+    return Picture(width, 302.0, (panel,), f"{title}: {told.experiment}", "fingerprint")

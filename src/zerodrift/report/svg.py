@@ -163,6 +163,10 @@ class Picture:
     name: str = field(default="")
     """For its file."""
 
+    def _repr_html_(self) -> str:
+        """Return the picture for a notebook."""
+        return render_svg(self, alone=True)
+
 
 def list_round_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
     """Return 1, 2 or 5 times powers of ten between two numbers, at most so many."""

@@ -11,6 +11,7 @@ from zerodrift.base.arrays import Array
 from zerodrift.base.config import load_config
 from zerodrift.base.csv_text import mark_frame
 from zerodrift.base.errors import InputError, nearest
+from zerodrift.base.files import show_path
 from zerodrift.base.journal import write_all
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.calibration.files import (
@@ -214,7 +215,7 @@ def calibrate(request: CalibrateRequest, progress: Progress = SILENT) -> Calibra
     channels = request.channels or CODE_COLUMNS
     directory = request.project.directory
     paths = find_logs(request.logs, directory)
-    first = open_source(paths[0], _label(paths[0], directory), {})
+    first = open_source(paths[0], show_path(paths[0], directory), {})
     chosen = request.references or list_references(first)
     if not chosen:
         raise InputError(
@@ -224,7 +225,7 @@ def calibrate(request: CalibrateRequest, progress: Progress = SILENT) -> Calibra
     read = []
     for path in paths:
         progress(f"reading {path.name} ...")
-        label = _label(path, directory)
+        label = show_path(path, directory)
         read.append(
             read_calibration_log(path, label, channels, chosen, request.project.skip_invalid)
         )
@@ -256,7 +257,7 @@ def calibrate(request: CalibrateRequest, progress: Progress = SILENT) -> Calibra
         texts |= {directory / request.out / file: text for file, text in applied.items()}
     write_all(directory, {target: text.encode() for target, text in texts.items()})
     told = replace(summarise_calibration(fitted), notes=tuple(notes))
-    written = tuple(_label(target, directory) for target in texts)
+    written = tuple(show_path(target, directory) for target in texts)
     return CalibrateOutcome(CalibrateResult(**vars(told), files=written), fitted)
 
 
@@ -282,10 +283,6 @@ def find_logs(names: Sequence[str], directory: Path) -> list[Path]:
             )
         found += [match for match in matches if match not in found]
     return found
-
-
-def _label(path: Path, directory: Path) -> str:
-    return str(path.relative_to(directory)) if path.is_relative_to(directory) else str(path)
 
 
 def read_full_scale(directory: Path) -> dict[str, float]:
@@ -316,7 +313,7 @@ def render_applied(
     texts: dict[str, str] = {}
     notes = []
     for path in paths:
-        label = _label(path, directory)
+        label = show_path(path, directory)
         source = open_source(path, label, {})
         table = read_table(source, dict.fromkeys(fitted.channels, "--adc"), run_column=False)
         invalid = find_invalid_rows(table, {})

@@ -8,7 +8,6 @@ from pathlib import Path
 from zerodrift.base.arrays import Array
 from zerodrift.base.config import Config
 from zerodrift.base.errors import InputError
-from zerodrift.base.extras import PAGE, require
 from zerodrift.base.journal import write_text
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.dataset.runs import Run
@@ -26,6 +25,8 @@ from zerodrift.export.model_files import load_model
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.fit import fit_config
 from zerodrift.physics.model import PhysicalModel
+from zerodrift.report.page import render_page
+from zerodrift.report.pictures import draw_comparison
 from zerodrift.report.results import CompareResult
 from zerodrift.tasks.built import read_firmware, state_uncertainty
 from zerodrift.tasks.project import ProjectFolder, open_project
@@ -126,11 +127,6 @@ class CompareRequest:
     html: Path | None = None
     """Where a page with the pictures is written."""
 
-    def __post_init__(self) -> None:
-        """Refuse a page that nothing here can draw."""
-        if self.html is not None:
-            require(PAGE, "zerodrift compare --html")
-
 
 @dataclass(frozen=True)
 class Compared:
@@ -176,11 +172,8 @@ def compare(request: CompareRequest, progress: Progress = SILENT) -> Compared:
     advice = advise(config, dataset)
     firmware, _, note = read_firmware(config)
     if request.html is not None:
-        # Plotly is an extra
-        from zerodrift.report.figures import draw_comparison, render_page
-
-        figures = draw_comparison(dataset, predictor.predict, comparison)
-        page = render_page(f"{config.sensor_name}: model against measurements", figures)
+        pictures = draw_comparison(dataset, predictor.predict, comparison)
+        page = render_page(f"{config.sensor_name}: model against measurements", pictures)
         write_text(request.html, page, config.directory)
     return Compared(
         predictor,

@@ -11,6 +11,8 @@ from zerodrift.diagnosis.fingerprint import Fingerprint, draw_fingerprint
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.effect import Effect
+from zerodrift.report.page import render_page
+from zerodrift.report.pictures import draw_fingerprint as draw_picture
 from zerodrift.report.results import EffectResult, EffectsResult
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.trust import require_trust
@@ -69,11 +71,7 @@ def list_effects(request: EffectsRequest, progress: Progress = SILENT) -> Effect
     if request.html is not None:
         if picture is None:
             raise InputError(f"effect '{effect.kind}' has no picture: it only sets samples aside.")
-        # Plotly is an extra
-        from zerodrift.report.figures import draw_fingerprint as draw_figure
-        from zerodrift.report.figures import render_page
-
         title = f"{effect.kind}: {effect.title}"
-        page = render_page(title, [draw_figure(effect.title, picture)], [effect.equation])
+        page = render_page(title, [draw_picture(effect.title, picture)], [effect.equation])
         write_text(request.html, page)
     return EffectsOutcome(EffectResult(**vars(describe_effect(effect))), catalogue, effect, picture)

@@ -19,6 +19,7 @@ from zerodrift.base.errors import CheckError, InputError, nearest
 from zerodrift.base.files import write_whole
 from zerodrift.base.lock import lock_project
 from zerodrift.base.progress import SILENT, Progress
+from zerodrift.dataset.times import DAY_S
 from zerodrift.export.integer_model import FLAG_NO_READING
 from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import LEARNING, NO_REFERENCE, SOUND, open_registry
@@ -156,7 +157,6 @@ def _label(**labels: str) -> str:
 
 ABSOLUTE_S = 1e8
 """Times from here on are dates: 1973 and later; smaller ones count from the log's begin."""
-DAY_S = 86_400.0
 UNDECIDED = "undecided"
 
 
@@ -681,7 +681,7 @@ def open_state(
         deployed.model.hash,
         request.block_hours * 3600.0,
         request.alarms_per_unit_month,
-        request.learn_days * 86_400.0,
+        request.learn_days * DAY_S,
     )
     if request.reset:
         return fresh, ()
@@ -702,7 +702,7 @@ def open_state(
     ):
         raise InputError(
             f"{place}: was begun with --block-hours {kept.block_s / 3600.0:g} --false-alarms"
-            f" {kept.per_month:g} --learn-days {kept.learn_s / 86_400.0:g}; expected the same, as a"
+            f" {kept.per_month:g} --learn-days {kept.learn_s / DAY_S:g}; expected the same, as a"
             " test that changes on the way has no stated rate. Repeat them, or begin anew with"
             " --reset."
         )

@@ -25,6 +25,8 @@ from zerodrift.discovery.summary import (
     write_plan,
 )
 from zerodrift.physics.catalogue import Catalogue
+from zerodrift.report.page import render_page
+from zerodrift.report.pictures import draw_programme
 from zerodrift.report.results import PlanResult
 from zerodrift.tasks.project import ProjectFolder
 from zerodrift.tasks.trust import require_trust
@@ -109,11 +111,7 @@ def plan(request: PlanRequest, progress: Progress = SILENT) -> PlanOutcome:
         protocols = list_protocols(planned.programme, planned.limits, result.units)
         result = write_plan(result, protocols, request.file)
     if request.picture is not None:
-        # Plotly is an extra
-        from zerodrift.report.figures import draw_plan
-        from zerodrift.report.page import render_page
-
-        page = render_page("The next experiment", [draw_plan(result)])
+        page = render_page("The next experiment", [draw_programme(result)])
         write_whole(request.picture, page.encode())
     notes = (*(dataset.notes if dataset is not None else ()), *result.notes)
     return PlanOutcome(result, notes)

@@ -133,7 +133,7 @@ def _write(
     """
     try:
         if kind in FOLDERS:
-            return write_pictures(list_pictures(findings), target, directory, kind)
+            return write_pictures(list_pictures(findings), target, directory, (kind,))
         text = render_report(findings, rows)
         if kind == "pdf":
             print_page(text, target, directory)

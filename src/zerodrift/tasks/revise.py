@@ -7,7 +7,6 @@ from pathlib import Path
 
 from zerodrift.base.config import Config, EffectConfig, parse_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.extras import PAGE, require
 from zerodrift.base.journal import hold_project, write_all, write_text
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.base.toml_edit import add_effect, add_plugin, remove_effect, set_parameters
@@ -25,6 +24,8 @@ from zerodrift.diagnosis.history import (
 )
 from zerodrift.diagnosis.revision import Revision, revise, revise_best, summarise_revision
 from zerodrift.physics.catalogue import Catalogue, load_catalogue
+from zerodrift.report.page import render_page
+from zerodrift.report.pictures import draw_stairs
 from zerodrift.report.results import AddResult, HistoryResult, RemoveResult
 from zerodrift.tasks.project import ProjectFolder, hold_own, open_project, tell_design
 from zerodrift.tasks.trust import remember
@@ -248,11 +249,6 @@ class HistoryRequest:
     html: Path | None = None
     """Where a page with the picture is written."""
 
-    def __post_init__(self) -> None:
-        """Refuse a page that nothing here can draw."""
-        if self.html is not None:
-            require(PAGE, "zerodrift history --html")
-
 
 @dataclass(frozen=True)
 class HistoryOutcome:
@@ -285,12 +281,9 @@ def show_history(request: HistoryRequest) -> HistoryOutcome:
     path, entries = open_history(config)
     steps = list_steps(entries)
     if request.html is not None:
-        # Plotly is an extra
-        from zerodrift.report.figures import draw_staircase, render_page
-
         title = f"{config.sensor_name}: history of the model"
         reasons = [f"{step.label}: {step.reason}" for step in steps if step.reason]
-        write_text(request.html, render_page(title, [draw_staircase(steps)], reasons), directory)
+        write_text(request.html, render_page(title, [draw_stairs(steps)], reasons), directory)
     notes = tell_design(config, request.project.sensor) if restored else ()
     return HistoryOutcome(steps, path, restored, notes)
 

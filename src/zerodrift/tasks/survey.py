@@ -25,8 +25,14 @@ from zerodrift.diagnosis.run_errors import collect_errors
 from zerodrift.physics.catalogue import Catalogue
 from zerodrift.physics.description import describe_effect
 from zerodrift.physics.summary import summarise_model
-from zerodrift.report.findings import Findings, LoggedInput, Provenance, SourceFile, trace_runs
-from zerodrift.report.pictures import ProposedFormula
+from zerodrift.report.findings import (
+    Findings,
+    LoggedInput,
+    ProposedFormula,
+    Provenance,
+    SourceFile,
+    trace_runs,
+)
 from zerodrift.report.results import ProposeResult
 from zerodrift.report.sentences import (
     describe_patterns,
@@ -47,7 +53,7 @@ PROPOSAL = "proposal.json"
 """In build/: what the last `propose` said, with the mark of what it was made from."""
 PROPOSAL_FORMAT = 1
 SIMULATED_FILES = ("truth.json", "twin.json")
-PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime", "plotly")
+PACKAGES = ("numpy", "scipy", "polars", "torch", "onnx", "onnxruntime")
 
 
 @dataclass(frozen=True)

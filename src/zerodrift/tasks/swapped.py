@@ -18,7 +18,7 @@ from zerodrift.export.integer_model import IntegerModel
 from zerodrift.export.model_files import load_model
 from zerodrift.field.registry import FILE_NAME as REGISTRY
 from zerodrift.field.registry import open_registry
-from zerodrift.field.state import MonitorState, SearchedOutput, UnitSearch
+from zerodrift.field.state import MonitorState, SearchedOutput, UnitSearch, shorten
 from zerodrift.field.summary import NAMED, NONE, POSSIBLE, TOO_LITTLE, UnitSought
 from zerodrift.field.swapped import FALSE_NAME, MOST, Before, Foretold, add_look, find_unit
 from zerodrift.field.watch import (
@@ -214,14 +214,14 @@ def _add(
         first, *others = (one.first(min(MOST, one.place.size)) for one in means)
         if first.place.size:
             beside, flagged = (
-                {s: _shorten(m.residual) for s, m in zip(serials, part, strict=True)}
+                {s: shorten(m.residual) for s, m in zip(serials, part, strict=True)}
                 for part in (others[: len(serials)], others[len(serials) :])
             )
             outputs[name] = SearchedOutput(
                 tuple(int(p) for p in first.place),
-                _shorten(first.count),
-                _shorten(first.temperature),
-                _shorten(first.residual),
+                shorten(first.count),
+                shorten(first.temperature),
+                shorten(first.residual),
                 beside,
                 flagged,
                 before.looks if before is not None else (),
@@ -295,10 +295,6 @@ def tell_sought(state: MonitorState) -> UnitSought | None:
         shown = ", ".join(possible[:SHOWN]) + (", ..." if len(possible) > SHOWN else "")
         kind, text = POSSIBLE, f"of {of}, {len(possible)} may be in its place: {shown}"
     return UnitSought(kind, sought.named, possible or (), known, FALSE_NAME, text)
-
-
-def _shorten(values: Array) -> tuple[float, ...]:
-    return tuple(float(f"{value:.9g}") for value in values)
 
 
 SHOWN_UNITS = 3

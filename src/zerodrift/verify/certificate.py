@@ -18,7 +18,7 @@ from zerodrift.codegen.identifiers import name_channels
 from zerodrift.dataset.chip_codes import find_linear
 from zerodrift.dataset.conversions import COUPLES, PLATINUM
 from zerodrift.export.error_bound import ErrorBound, round_up
-from zerodrift.export.integer_model import Channel, IntegerModel
+from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.errors import CAUSES
 from zerodrift.operations.gru import IntegerGruLayer
 from zerodrift.operations.gru.cell import H_LIMIT_Q30
@@ -50,15 +50,11 @@ def describe_conversions(model: IntegerModel) -> list[Row]:
         row: Row = {"input": name, "unit": channel.unit, **_describe(by.by_sum)}
         if by.junction is not None:
             of = model.channels[by.junction.channel]
-            junction = _describe_junction(names[by.junction.channel], of)
+            junction = {"input": names[by.junction.channel], "scale": of.lsb, "offset": of.offset}
             row |= {"raw_scale": by.formula.scale, "raw_offset": by.formula.offset}
             row |= {"junction": junction}
         rows.append(row)
     return rows
-
-
-def _describe_junction(name: str, channel: Channel) -> Row:
-    return {"input": name, "scale": channel.lsb, "offset": channel.offset}
 
 
 def _describe(by: ConversionConfig) -> Row:

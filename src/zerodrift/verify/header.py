@@ -8,6 +8,7 @@ is what an application gets, whatever the text looks like.
 import ctypes
 from pathlib import Path
 
+from zerodrift.c_runtime.host import SAVED_EXTRA_BYTES
 from zerodrift.codegen.generate import GeneratedCode
 from zerodrift.codegen.identifiers import name_channels, name_outputs
 from zerodrift.export.integer_model import (
@@ -35,7 +36,6 @@ FLAGS = {
 FAULTS = {"REPLAY": 1, "TABLES": 2}
 _MISSING = -(2**63)
 """Stands for a macro that is not there; none has this value."""
-SAVED_EXTRA_BYTES = 16
 _LONGEST_TEXT = 256
 _TEXTS = ("MODEL_HASH", "MANIFEST")
 

@@ -18,7 +18,6 @@ from zerodrift.base.extras import (
     RECORD_MQTT,
     RECORD_SERIAL,
     TRAIN,
-    WORKBENCH,
     is_there,
     tell_install,
 )
@@ -35,7 +34,6 @@ PACKAGES: dict[str, str] = {
     "torch": "trains networks other than the lag bank",
     "unicorn": "emulates cores",
     "ziglang": "compiles for every core",
-    "plotly": "draws the report and the page",
     "dash": "serves the page",
     "ray": "spreads a fleet over machines",
     "serial": "records from serial ports",
@@ -45,7 +43,7 @@ PACKAGES: dict[str, str] = {
 """What zerodrift uses, and for what."""
 DISTRIBUTIONS = {"serial": "pyserial", "can": "python-can", "paho.mqtt": "paho-mqtt"}
 """Where the name to install is not the module's."""
-EXTRAS = (TRAIN, PAGE, WORKBENCH, FLEET, RECORD_SERIAL, RECORD_CAN, RECORD_MQTT)
+EXTRAS = (TRAIN, PAGE, FLEET, RECORD_SERIAL, RECORD_CAN, RECORD_MQTT)
 EXTRA_OF = {extra.package: extra.name for extra in EXTRAS}
 PROGRAMS: dict[str, tuple[tuple[str, ...], str]] = {
     "Chromium": (("chromium", "chromium-browser", "google-chrome"), "report as PDF and PNG"),

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dash import html
 from dash.development.base_component import Component
 
+from zerodrift.dataset.units import write_duration
 from zerodrift.recording.coverage import Covered, CoveredRange, RecordedColumn
 from zerodrift.recording.status import CUT_OFF, ENDED, LIVE, STUCK, explain_missing
 from zerodrift.report.tables import Table
@@ -45,7 +46,7 @@ def _show(one: WatchedRecording) -> Component:
 
 def _tell_size(one: WatchedRecording) -> str:
     covered = one.status.covered
-    parts = [f"{covered.rows:,} rows", write_time(covered.seconds)]
+    parts = [f"{covered.rows:,} rows", write_duration(covered.seconds)]
     for word, rate in (
         ("heated by up to", covered.heating_K_per_min),
         ("cooled by up to", covered.cooling_K_per_min),
@@ -99,7 +100,7 @@ def _show_wanted(one: WatchedRecording) -> list[Component]:
 
 def _write_share(part: CoveredRange) -> str:
     if part.what == "time":
-        return f"{write_time(part.high)} of {write_time(part.wanted_high)}"
+        return f"{write_duration(part.high)} of {write_duration(part.wanted_high)}"
     span = f"{part.wanted_low:g} to {part.wanted_high:g} {part.unit}".rstrip()
     return f"{100.0 * part.share:.0f} % of {span}"
 
@@ -143,10 +144,3 @@ def _show_next(one: WatchedRecording) -> list[Component]:
         for number, offer in enumerate(find_offers(one))
     ]
     return [html.Div(buttons, className="actions")] if buttons else []
-
-
-def write_time(seconds: float) -> str:
-    """Return a time as people say it."""
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"

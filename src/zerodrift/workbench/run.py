@@ -11,7 +11,7 @@ from types import FrameType
 
 from zerodrift.base.config import FILE_NAME, load_config
 from zerodrift.base.errors import InputError
-from zerodrift.base.extras import PAGE, WORKBENCH, require
+from zerodrift.base.extras import PAGE, require
 from zerodrift.base.progress import SILENT, Progress
 from zerodrift.fleet.sensors import load_unit
 from zerodrift.tasks.trust import require_trust
@@ -52,7 +52,6 @@ def run_workbench(
         InputError: another workbench is open on the directory, or there is no such unit.
     """
     require(PAGE, "zerodrift workbench")
-    require(WORKBENCH, "zerodrift workbench")
     directory, sensor, skip_invalid = request.directory, request.sensor, request.skip_invalid
     if sensor is not None:
         load_unit(directory, sensor)

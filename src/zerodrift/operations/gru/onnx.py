@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
+from zerodrift.base.config import MAX_HIDDEN
 from zerodrift.operations.gru.cell import FloatGru
 
 Attributes = Mapping[str, Any]
 """Of an ONNX node, by name."""
-MAX_HIDDEN = 256
 MAX_FEATURES = 256
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array
-from zerodrift.operations.gru.onnx import MAX_FEATURES, MAX_HIDDEN, Attributes
+from zerodrift.base.config import MAX_HIDDEN
+from zerodrift.operations.gru.onnx import MAX_FEATURES, Attributes
 from zerodrift.operations.lstm.cell import FloatLstm
 
 FROM_ONNX = (0, 2, 3, 1)
