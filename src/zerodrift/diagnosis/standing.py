@@ -241,11 +241,9 @@ CAUSE = 4.0
 """A signal whose level jumps by this many times its spread may be why."""
 FEW_RUNS = 1 / 3
 """Where more of the runs jump, it is no fault of a log: an effect or a disturbance."""
-SAME_SIZE = 0.05
-"""Jumps up and down whose sizes differ by less are those of a counter that wraps."""
-WRAPS, WHOLE_RANGE = 0.3, 0.8
-"""Jumps of this share of the column's range are looked at, and a wrap is this share of it: the
-rest is noise on both ends."""
+WRAPS, STAYS = 0.3, 0.1
+"""Jumps of this share of a column's range, and the share of a counter's that may stay when its
+readings are put together, or be larger than its range."""
 LARGE = 20.0
 """A wrap is this many times the output's usual step."""
 BEYOND_RAIL = 0.02
@@ -483,32 +481,29 @@ def find_leaps(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
 
 
 def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
-    """Return a note if an output jumps up and down by one large size."""
-    drift = run.drift[:, k]
-    # Over two rows: an uneven clock lays a mixture of both sides between them.
-    steps = drift[2:] - drift[:-2]
-    if len(run) < 6 * ARM or not steps.any():
+    """Return a note if an output is steady once it is read as a counter that wraps.
+
+    All readings of such a counter lie within what it wraps by; a load, or what follows it, moves an
+    output by less than its range.
+    """
+    drift, size = run.drift[:, k], float(np.ptp(run.measured[:, k]))
+    steps = np.diff(drift)
+    rows = np.flatnonzero(np.abs(steps) >= 0.5 * size)
+    # It wraps once from row to row. A coarse converter at rest goes up and down by its own step.
+    if rows.size < 2 or np.count_nonzero(np.abs(steps) > 1.5 * size) > STAYS * rows.size:
         return None
-    large = np.flatnonzero(np.abs(steps) >= WRAPS * np.ptp(run.measured[:, k]))
-    jumps = np.split(large, np.flatnonzero(np.diff(large) > 1) + 1) if large.size else []
-    rows = np.array([jump[np.abs(steps[jump]).argmax()] for jump in jumps], dtype=np.intp)
-    if rows.size < 2:
-        return None
-    size = float(np.median(np.abs(steps[rows])))
     if size < LARGE * float(np.median(np.abs(steps[steps != 0.0]))):
-        # A coarse converter at rest goes up and down by its own step.
         return None
-    alike = np.abs(np.abs(steps[rows]) - size) <= SAME_SIZE * size
     # Spikes and values for none go up and down too, and are back in the next row or two; a counter
     # stays on either side.
     lengths = np.diff(np.concatenate([[-1], rows, [steps.size]]))
     up = np.concatenate([[steps[rows[0]] < 0.0], steps[rows] > 0.0])
-    lasting = min(lengths[up].max(initial=0), lengths[~up].max(initial=0)) > 2
-    if alike.mean() < 0.9 or not lasting:
+    if min(lengths[up].max(initial=0), lengths[~up].max(initial=0)) <= 2:
         return None
-    # All of a counter's readings lie within what it wraps by; a load, or what follows it, moves
-    # an output by less than its range.
-    if size < WHOLE_RANGE * float(np.ptp(run.measured[:, k])):
+    # An uneven clock lays a row between both sides, which is none of the counter's.
+    whole = np.unwrap(drift, period=size)
+    level = np.median([whole[:-2], whole[1:-1], whole[2:]], axis=0)
+    if np.count_nonzero(np.abs(np.diff(level)) >= WRAPS * size) > STAYS * rows.size:
         return None
     text = (
         f"jumps up and down by {size:.6g} with no cause in the logs: a counter that wraps. Unwrap "
