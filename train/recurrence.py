@@ -19,8 +19,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from zerodrift.operations.gru.cell import RELAX_STEPS
 from zerodrift.operations.lstm.cell import SLOWEST
+from zerodrift.operations.recurrent import RELAX_STEPS
 
 
 @dataclass(frozen=True)

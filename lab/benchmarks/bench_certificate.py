@@ -16,7 +16,7 @@ from tests.fixed_point.accumulators import (
 from tests.golden.model_factory import Shape, draw_model
 
 from zerodrift.export.integer_model import IntegerModel
-from zerodrift.operations.gru.cell import H_LIMIT_Q30
+from zerodrift.operations.recurrent import H_LIMIT_Q30
 from zerodrift_proof import compare
 
 SHAPES = {

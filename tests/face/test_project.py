@@ -106,9 +106,8 @@ def test_a_result_is_what_the_command_prints(folder: Path) -> None:
 
 def test_results_show_themselves(project: zd.Project) -> None:
     found = project.compare()
-    assert "<h4>runs</h4><table>" in found._repr_html_() and "RunSummary" not in found._repr_html_()
-    assert "<table>" in found._repr_html_() and "Fz" in found._repr_html_()
-    picture = found.plot("Fz")
+    shown, picture = found._repr_html_(), found.plot("Fz")
+    assert "<h4>runs</h4><table>" in shown and "RunSummary" not in shown and "Fz" in shown
     assert picture._repr_html_().startswith("<svg")
     (drift, model), (left,) = (panel.curves for panel in picture.panels)
     assert model.name == "model" and np.nanmax(np.abs(left.y)) < np.nanmax(np.abs(drift.y))

@@ -13,10 +13,10 @@ from tests.golden.model_factory import Draw, Shape, draw_model
 from zerodrift.base.errors import CheckError
 from zerodrift.operations.delay import IntegerDelay
 from zerodrift.operations.features import IntegerFeatures
-from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.intervals import Interval
 from zerodrift.operations.lowpass import IntegerLowpass
 from zerodrift.operations.product import IntegerProduct
+from zerodrift.operations.recurrent import H_LIMIT_Q30
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ from tests.golden.vectors import FOLDER, crc_of, load, run_host, run_reference
 from zerodrift.c_runtime.compilers import Compiler, find_compilers
 from zerodrift.c_runtime.host import HostModel
 from zerodrift.codegen.generate import generate
-from zerodrift.operations.gru.cell import H_LIMIT_Q30
+from zerodrift.operations.recurrent import H_LIMIT_Q30
 
 REMEDY = "`make golden` writes it again; read the diff"
 

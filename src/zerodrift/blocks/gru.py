@@ -24,10 +24,11 @@ from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import INT16_MAX, INT32_MAX, round_shift
 from zerodrift.operations.dense import COPY_BITS
 from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import GATES, H_LIMIT_Q30, IntegerGru, prove_state
+from zerodrift.operations.gru.cell import GATES, IntegerGru, prove_state
 from zerodrift.operations.gru.layouts import find_pairs, has_fast_kernels, lay_out_pairs
 from zerodrift.operations.intervals import Bound, Interval, check_shift
 from zerodrift.operations.node import ChannelNode, IntegerNode
+from zerodrift.operations.recurrent import H_LIMIT_Q30
 
 # A GRU's weights in a coarser format: rounded row by row together, for the states that occur.
 

@@ -21,8 +21,8 @@ from zerodrift.export.error_bound import ErrorBound, round_up
 from zerodrift.export.integer_model import IntegerModel
 from zerodrift.operations.errors import CAUSES
 from zerodrift.operations.gru import IntegerGruLayer
-from zerodrift.operations.gru.cell import H_LIMIT_Q30
 from zerodrift.operations.intervals import Bound
+from zerodrift.operations.recurrent import H_LIMIT_Q30
 from zerodrift.operations.signals import Real, Signal
 from zerodrift.operations.tables import STEP_BITS, T_MAX, T_MIN, tanh_nodes
 

@@ -11,25 +11,29 @@ is kept as u = 1 - z = sigmoid(-z_preactivation), since that is what the state m
 The integer meaning is normative and specified in `docs/reference/integer-arithmetic.md`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.arithmetic import round_shift
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound
 from zerodrift.operations.node import Writer
+from zerodrift.operations.recurrent import (
+    H_LIMIT_Q30,
+    R_Q31_MAX,
+    RELAX_STEPS,
+    IntegerLayer,
+    symmetric,
+)
 from zerodrift.operations.tables import sigmoid_q31, tanh_q30, write_sigmoid, write_tanh
 
 RESETS = ("after", "before")
 GATES = ("r", "u", "n")
-H_LIMIT_Q30 = 2**30 - 2**15 + 1
-"""|h| in Q1.30 never exceeds this: the recurrent invariant (see `prove_state`)."""
-R_Q31_MAX = 2**31 - 2**15
-RELAX_STEPS = 64
 U_RELAX_Q31 = 2**30
 
 
@@ -104,9 +108,10 @@ def _stack(weights: NDArray[np.int16] | NDArray[np.int8]) -> Array:
 
 
 @dataclass(frozen=True)
-class IntegerGru:
+class IntegerGru(IntegerLayer):
     """A quantized GRU; every array is what the C holds, in the same order."""
 
+    gate_names: ClassVar = GATES
     w_x: NDArray[np.int16]  # [3, H, I]
     w_h: NDArray[np.int16] | NDArray[np.int8]  # [3, H, H]
     bias: NDArray[np.int32]
@@ -117,16 +122,6 @@ class IntegerGru:
     multiplier: NDArray[np.int32] | None = None
     """[3, H] for int8 recurrent weights: row scale of w_h . h; None for int16."""
     multiplier_shift: tuple[int, int, int] = (0, 0, 0)
-
-    @property
-    def hidden(self) -> int:
-        """Number of hidden units H."""
-        return int(self.w_h.shape[1])
-
-    @property
-    def inputs(self) -> int:
-        """Number of features I."""
-        return int(self.w_x.shape[2])
 
     @cached_property
     def _rows(self) -> _Rows:
@@ -202,55 +197,33 @@ class IntegerGru:
             h_q30 = np.asarray(h_q30 + 2 * round_shift((n_q30 - h_q30) * U_RELAX_Q31, 32))
         return h_q30
 
-    def prove(self, name: str, features: list[Interval]) -> list[Bound]:
-        """Return the bounds of every accumulator for any features within their intervals.
+    def write_step(self, w: Writer, x: str, state: Sequence[str]) -> list[str]:
+        """Write one step."""
+        return [write_gru_step(w, self, x, state[0])]
 
-        Sums of absolute values bound every partial sum, whatever the order of summation.
+    def write_settle(self, w: Writer, x: str) -> list[str]:
+        """Write the state at rest under constant features x [B, I]."""
+        half = w.constant(U_RELAX_Q31)
+        return w.repeat(
+            RELAX_STEPS,
+            lambda carried: [write_gru_step(w, self, x, carried[0], half)],
+            [(w.zeros(x, self.hidden), ("B", self.hidden))],
+        )
 
-        Raises:
-            CheckError: an accumulator could overflow.
-        """
-        for gate, gate_name in enumerate(GATES):
-            check_shift(f"{name}.{gate_name}", self.shift[gate], 31)
-            check_shift(f"{name}.{gate_name}.multiplier", self.multiplier_shift[gate], 62)
-        bounds: list[Bound] = []
-        h_q15 = 32767  # round_shift(H_LIMIT_Q30, 15)
-        for j in range(self.hidden):
-            for gate, gate_name in enumerate(GATES):
-                row = f"{name}.{gate_name}[{j}]"
-                from_x = sum(
-                    abs(int(w)) * f.magnitude
-                    for w, f in zip(self.w_x[gate, j], features, strict=True)
-                )
-                product = int(np.abs(self.w_h[gate, j].astype(np.int64)).sum()) * h_q15
-                if self.multiplier is not None:
-                    bounds.append(_symmetric(f"{row}.product", product, 32))
-                    scaled = product * abs(int(self.multiplier[gate, j]))
-                    shift = self.multiplier_shift[gate]
-                    bounds.append(_symmetric(f"{row}.scaled", scaled + (1 << shift >> 1), 64))
-                    product = (scaled >> shift) + 1
-                outside = abs(int(self.bias[gate, j])) + from_x
-                if gate_name == "n" and self.reset == "after":
-                    inside = abs(int(self.bias[3, j])) + product
-                    bounds.append(_symmetric(f"{row}.inside", inside, 32))
-                    product = (inside * R_Q31_MAX >> 32) + 1
-                bounds.append(_symmetric(row, outside + product, 32))
-        bounds.append(prove_state(name))
-        return [bound.check() for bound in bounds]
+    def _bound_inside(self, row: str, gate: int, j: int, product: int) -> tuple[list[Bound], int]:
+        if GATES[gate] != "n" or self.reset != "after":
+            return [], product
+        inside = abs(int(self.bias[3, j])) + product
+        return [symmetric(f"{row}.inside", inside, 32)], (inside * R_Q31_MAX >> 32) + 1
 
+    def _bound_state(self, name: str) -> list[Bound]:
+        return [prove_state(name)]
 
-def check_layer(name: str, layer: IntegerGru) -> None:
-    """Raise ValueError where the arrays of a layer do not fit together."""
-    hidden, inputs = layer.hidden, layer.inputs
-    shapes = [layer.w_x.shape, layer.w_h.shape, layer.bias.shape]
-    wanted = [(3, hidden, inputs), (3, hidden, hidden), (4, hidden)]
-    if layer.multiplier is not None:
-        shapes.append(layer.multiplier.shape)
-        wanted.append((3, hidden))
-    if shapes != wanted or hidden == 0:
-        raise ValueError(f"node '{name}': arrays {shapes} do not fit together")
-    if layer.reset not in RESETS:
-        raise ValueError(f"node '{name}': reset {layer.reset!r:.40}; expected one of {RESETS}")
+    def check_form(self, name: str) -> None:
+        """Raise ValueError where the arrays do not fit together, or the reset is unknown."""
+        super().check_form(name)
+        if self.reset not in RESETS:
+            raise ValueError(f"node '{name}': reset {self.reset!r:.40}; expected one of {RESETS}")
 
 
 def prove_state(name: str) -> Bound:
@@ -261,11 +234,7 @@ def prove_state(name: str) -> Bound:
     |n| <= 2**30 - 2**15; where |d| < 2**16 it passes n by at most 1.
     """
     reach = (2**30 - 2**15) + H_LIMIT_Q30
-    return _symmetric(f"{name}.state_step", reach, 32)
-
-
-def _symmetric(where: str, magnitude: int, bits: int) -> Bound:
-    return Bound(where, Interval(-magnitude, magnitude), bits)
+    return symmetric(f"{name}.state_step", reach, 32)
 
 
 def write_gru_step(w: Writer, gru: IntegerGru, x: str, h_q30: str, u_q31: str | None = None) -> str:
@@ -310,13 +279,3 @@ def _write_recurrent(w: Writer, gru: IntegerGru, h_q15: str, gates: slice) -> st
         return product
     scaled = w.mul(product, w.constant(gru.multiplier[gates].ravel()))
     return w.round_shift(scaled, np.repeat(gru.multiplier_shift[gates], gru.hidden))
-
-
-def write_relaxed(w: Writer, gru: IntegerGru, x: str) -> str:
-    """Write the state of a GRU at rest under constant features x [B, I]."""
-    half = w.constant(U_RELAX_Q31)
-    return w.repeat(
-        RELAX_STEPS,
-        lambda carried: [write_gru_step(w, gru, x, carried[0], half)],
-        [(w.zeros(x, gru.hidden), ("B", gru.hidden))],
-    )[0]

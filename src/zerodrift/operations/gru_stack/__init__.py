@@ -44,15 +44,16 @@ class IntegerGruStack(IntegerGruLayer):
         ends = np.cumsum([layer.hidden for layer in self.lower])
         return [*np.split(state["lower_q30"], ends[:-1], axis=1), state["h_q30"]]
 
-    def _join(self, states: list[IntArray]) -> State:
+    def _join(self, states: Sequence[IntArray]) -> State:
         return {"h_q30": states[-1], "lower_q30": np.concatenate(states[:-1], axis=1)}
 
-    def _write_split(self, w: Writer, state: Names) -> list[str]:
+    def _write_split(self, w: Writer, state: Names) -> list[list[str]]:
         widths = [layer.hidden for layer in self.lower]
-        return [*w.split(state["lower_q30"], widths), state["h_q30"]]
+        return [[name] for name in (*w.split(state["lower_q30"], widths), state["h_q30"])]
 
-    def _write_joined(self, w: Writer, states: Sequence[str]) -> dict[str, str]:
-        return {"h_q30": states[-1], "lower_q30": w.op("Concat", *states[:-1], axis=1)}
+    def _write_joined(self, w: Writer, states: Sequence[Sequence[str]]) -> dict[str, str]:
+        *lower, top = (state[0] for state in states)
+        return {"h_q30": top, "lower_q30": w.op("Concat", *lower, axis=1)}
 
     def prove(self, inputs: list[list[Interval]]) -> tuple[list[Interval], list[Bound]]:
         """Bound every accumulator of every layer."""

@@ -11,18 +11,19 @@ The integer meaning is normative and specified in `docs/reference/integer-layers
 Source: Gers, Schmidhuber and Cummins, "Learning to forget: continual prediction with LSTM", 2000.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zerodrift.base.arrays import Array, IntArray
 from zerodrift.operations.arithmetic import round_shift, saturate
-from zerodrift.operations.gru.cell import R_Q31_MAX, RELAX_STEPS
-from zerodrift.operations.intervals import Bound, Interval, check_shift
+from zerodrift.operations.intervals import Bound, Shift, check_shift
 from zerodrift.operations.node import Writer
+from zerodrift.operations.recurrent import R_Q31_MAX, RELAX_STEPS, IntegerLayer, symmetric
 from zerodrift.operations.tables import (
     NODE_MAX,
     STEP_BITS,
@@ -97,9 +98,10 @@ class LstmGates(NamedTuple):
 
 
 @dataclass(frozen=True)
-class IntegerLstm:
+class IntegerLstm(IntegerLayer):
     """A quantized LSTM; every array is what the C holds, in the same order."""
 
+    gate_names: ClassVar = GATES
     w_x: NDArray[np.int16]  # [4, H, I]
     w_h: NDArray[np.int16] | NDArray[np.int8]  # [4, H, H]
     bias: NDArray[np.int32]
@@ -113,14 +115,9 @@ class IntegerLstm:
     multiplier_shift: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     @property
-    def hidden(self) -> int:
-        """Number of hidden units H."""
-        return int(self.w_h.shape[1])
-
-    @property
-    def inputs(self) -> int:
-        """Number of features I."""
-        return int(self.w_x.shape[2])
+    def carried(self) -> int:
+        """Numbers of the state: h beside c."""
+        return 2 * self.hidden
 
     @cached_property
     def _rows(self) -> tuple[Array, Array]:
@@ -169,35 +166,32 @@ class IntegerLstm:
         bend = tanh_q30(round_shift(cell, self.cell_bits - 16))
         return np.concatenate([2 * _mul_high(bend, gates.o_q31), cell], axis=1)
 
-    def prove(self, name: str, features: list[Interval]) -> list[Bound]:
-        """Return the bounds of every accumulator for any features within their intervals.
+    def write_step(self, w: Writer, x: str, state: Sequence[str]) -> list[str]:
+        """Write one step; h and c after it."""
+        return write_lstm_step(w, self, x, state[0], state[1])
 
-        Raises:
-            CheckError: an accumulator could overflow.
-        """
+    def write_settle(self, w: Writer, x: str) -> list[str]:
+        """Write h and c at rest under constant features x [B, I]."""
+        return w.repeat(
+            RELAX_STEPS,
+            lambda carried: write_lstm_step(w, self, x, carried[0], carried[1], relaxing=True),
+            [(w.zeros(x, self.hidden), ("B", self.hidden))] * 2,
+        )
+
+    def _bound_state(self, name: str) -> list[Bound]:
         check_shift(f"{name}.cell_bits", 30 - self.cell_bits, 30 - CELL_BITS[0])
         check_shift(f"{name}.cell_bits", self.cell_bits - 16, CELL_BITS[1] - 16)
-        for gate, gate_name in enumerate(GATES):
-            check_shift(f"{name}.{gate_name}", self.shift[gate], 31)
-            check_shift(f"{name}.{gate_name}.multiplier", self.multiplier_shift[gate], 62)
-        bounds: list[Bound] = []
-        for j in range(self.hidden):
-            for gate, gate_name in enumerate(GATES):
-                row = f"{name}.{gate_name}[{j}]"
-                from_x = sum(
-                    abs(int(w)) * f.magnitude
-                    for w, f in zip(self.w_x[gate, j], features, strict=True)
-                )
-                product = int(np.abs(self.w_h[gate, j].astype(np.int64)).sum()) * 32767
-                if self.multiplier is not None:
-                    bounds.append(_symmetric(f"{row}.product", product, 32))
-                    scaled = product * abs(int(self.multiplier[gate, j]))
-                    shift = self.multiplier_shift[gate]
-                    bounds.append(_symmetric(f"{row}.scaled", scaled + (1 << shift >> 1), 64))
-                    product = (scaled >> shift) + 1
-                total = abs(int(self.bias[gate, j])) + from_x + product
-                bounds.append(_symmetric(row, total, 32))
-        return [bound.check() for bound in (*bounds, *prove_cell(name, self.cell_bits))]
+        return prove_cell(name, self.cell_bits)
+
+    def list_shifts(self, name: str) -> list[Shift]:
+        """Return every right shift in the C."""
+        return [*super().list_shifts(name), Shift(f"{name}.cell_bits", self.cell_bits, 31)]
+
+    def check_form(self, name: str) -> None:
+        """Raise ValueError where the arrays do not fit together, or the cell's bits are unknown."""
+        super().check_form(name)
+        if not CELL_BITS[0] <= self.cell_bits <= CELL_BITS[1]:
+            raise ValueError(f"node '{name}': {self.cell_bits} bits of the cell state")
 
 
 def prove_cell(name: str, cell_bits: int) -> list[Bound]:
@@ -207,38 +201,20 @@ def prove_cell(name: str, cell_bits: int) -> list[Bound]:
     kept = (CELL_LIMIT * R_Q31_MAX >> 32) + 1
     half = 1 << (cell_bits - 16) >> 1
     return [
-        _symmetric(f"{name}.moved", kept + add, 32),
-        _symmetric(f"{name}.distance", kept + add, 32),
-        _symmetric(f"{name}.relaxed", CELL_LIMIT + ((kept + add) << SLOWEST), 64),
-        _symmetric(f"{name}.bend", CELL_LIMIT + half, 32),
+        symmetric(f"{name}.moved", kept + add, 32),
+        symmetric(f"{name}.distance", kept + add, 32),
+        symmetric(f"{name}.relaxed", CELL_LIMIT + ((kept + add) << SLOWEST), 64),
+        symmetric(f"{name}.bend", CELL_LIMIT + half, 32),
     ]
-
-
-def check_layer(name: str, layer: IntegerLstm) -> None:
-    """Raise ValueError where the arrays of a layer do not fit together."""
-    hidden, inputs = layer.hidden, layer.inputs
-    shapes = [layer.w_x.shape, layer.w_h.shape, layer.bias.shape]
-    wanted = [(4, hidden, inputs), (4, hidden, hidden), (4, hidden)]
-    if layer.multiplier is not None:
-        shapes.append(layer.multiplier.shape)
-        wanted.append((4, hidden))
-    if shapes != wanted or hidden == 0:
-        raise ValueError(f"node '{name}': arrays {shapes} do not fit together")
-    if not CELL_BITS[0] <= layer.cell_bits <= CELL_BITS[1]:
-        raise ValueError(f"node '{name}': {layer.cell_bits} bits of the cell state")
 
 
 def _mul_high(a: IntArray | NDArray[np.int32], b: IntArray | NDArray[np.int32]) -> IntArray:
     return np.asarray(round_shift(a.astype(np.int64) * b, 32))
 
 
-def _symmetric(where: str, magnitude: int, bits: int) -> Bound:
-    return Bound(where, Interval(-magnitude, magnitude), bits)
-
-
 def write_lstm_step(
     w: Writer, lstm: IntegerLstm, x: str, h_q30: str, cell: str, relaxing: bool = False
-) -> tuple[str, str]:
+) -> list[str]:
     """Write one step of an LSTM; return h and c after it.
 
     Args:
@@ -275,14 +251,4 @@ def write_lstm_step(
         moved = w.add(w.round_shift(w.mul(cell, f_q31), 32), added)
         cell = w.shift_left(w.saturate(moved, -CELL_LIMIT // 2, CELL_LIMIT // 2), 1)
     bend = write_tanh(w, w.round_shift(cell, lstm.cell_bits - 16))
-    return w.shift_left(w.round_shift(w.mul(bend, o_q31), 32), 1), cell
-
-
-def write_relaxed(w: Writer, lstm: IntegerLstm, x: str) -> tuple[str, str]:
-    """Write the state of an LSTM at rest under constant features x [B, I]."""
-    h_q30, cell = w.repeat(
-        RELAX_STEPS,
-        lambda carried: write_lstm_step(w, lstm, x, carried[0], carried[1], relaxing=True),
-        [(w.zeros(x, lstm.hidden), ("B", lstm.hidden))] * 2,
-    )
-    return h_q30, cell
+    return [w.shift_left(w.round_shift(w.mul(bend, o_q31), 32), 1), cell]

@@ -64,9 +64,9 @@ import numpy as np
 from zerodrift.base.errors import NoRuleError
 from zerodrift.operations.errors import NONE, ZERO, Error, Known, require
 from zerodrift.operations.gate_sums import GateArgument, GateSums, RealUnit, propose_errors, weigh
-from zerodrift.operations.gru.cell import RELAX_STEPS
 from zerodrift.operations.intervals import enclose_exp, shorten
 from zerodrift.operations.lstm.cell import CELL_LIMIT, IntegerLstm
+from zerodrift.operations.recurrent import RELAX_STEPS
 from zerodrift.operations.tables import (
     T_MAX,
     SigmoidError,
