@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
-
+Array = NDArray[np.float64]
 DAY_S = 86400.0
 CHIP = "temperature"
 BODIES = ("body_1", "body_2")

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.oracle.forms import (
     BEND,
     BODIES,
@@ -22,6 +21,7 @@ from zerodrift_lab.oracle.forms import (
     LINE,
     RESOLUTION_K,
     SLOW_S,
+    Array,
     Candidate,
     Entry,
     SetPrior,

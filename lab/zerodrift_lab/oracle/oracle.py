@@ -23,7 +23,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.oracle.forms import (
     BEND,
     BLOCK,
@@ -31,6 +30,7 @@ from zerodrift_lab.oracle.forms import (
     LINE,
     MOST_EFFECTS,
     SLOW_S,
+    Array,
     SetPrior,
     leave_polynomial,
     rms,

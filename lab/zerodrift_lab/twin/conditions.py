@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.heat import HeatHistory, HeatNetwork, warm
 from zerodrift_lab.twin.stimuli import BOARD_POWER_W, Stimulus
+
+Array = NDArray[np.float64]
 
 POWERED_EARLIER_S = 7200.0
 """How long before its log a warmed-up run was powered on."""

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.conditions import Conditions
 from zerodrift_lab.twin.elements import Elements
 from zerodrift_lab.twin.hysteresis import play
@@ -24,6 +24,7 @@ from zerodrift_lab.twin.sensor import (
     draw_stream,
 )
 
+Array = NDArray[np.float64]
 Parameters = Mapping[str, float]
 Columns = Callable[[Conditions, Elements, Parameters], Array]
 

@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.conditions import Conditions
 from zerodrift_lab.twin.hysteresis import play
 from zerodrift_lab.twin.integrate import relax
+
+Array = NDArray[np.float64]
 
 #: The effects that change what the elements feel, in the order in which they act.
 ELEMENT_EFFECTS = ("heat_path", "clock_delay", "thermal_lag", "thermal_hysteresis")

@@ -7,10 +7,12 @@ and straight from the air inside. About 45 g of aluminium, so everything moves w
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.integrate import solve_network
 from zerodrift_lab.twin.sensor import draw_stream
+
+Array = NDArray[np.float64]
 
 SHELL, BODY, BOARD = 0, 1, 2
 

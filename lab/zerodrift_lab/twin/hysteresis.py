@@ -7,7 +7,7 @@ runs over turning points only and no step is approximated.
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+Array = NDArray[np.float64]
 
 #: Half-widths of the elements over their mean: a spread that rounds the loop's corners.
 ELEMENT_SPREAD: Array = np.exp(0.25 * np.linspace(-1.6, 1.6, 13))

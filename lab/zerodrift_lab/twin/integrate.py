@@ -7,9 +7,10 @@ shares nothing with the code that fits models to them.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from zerodrift.base.arrays import Array
+Array = NDArray[np.float64]
 
 
 def relax(signal: Array, tau_s: float, step_s: float, start: Array | float | None = None) -> Array:

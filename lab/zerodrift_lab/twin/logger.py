@@ -4,12 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.conditions import Conditions
 from zerodrift_lab.twin.noise import convert, report_temperature
 from zerodrift_lab.twin.recipe import Recipe
 from zerodrift_lab.twin.sensor import OUTPUTS, UNITS, draw_stream
+
+Array = NDArray[np.float64]
 
 TARE_S = 10.0
 """A log that is tared is zeroed over its first ten seconds, which are unloaded."""

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.sensor import OUTPUT_LSB, OUTPUTS, TEMPERATURE_LSB, draw_stream
+
+Array = NDArray[np.float64]
 
 #: Relaxation times, two octaves apart, whose equal shares add up to a spectrum of about 1/f.
 FLICKER_TAUS_S = (2.0, 8.0, 32.0, 128.0, 512.0, 2048.0)

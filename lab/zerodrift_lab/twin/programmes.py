@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+Array = NDArray[np.float64]
 
 
 class Programme(Protocol):

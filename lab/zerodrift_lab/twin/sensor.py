@@ -7,8 +7,9 @@ temperature compensation of a photo-coupler force/torque sensor (arXiv 2502.1752
 import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
+Array = NDArray[np.float64]
 
 OUTPUTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 UNITS = ("N", "N", "N", "Nm", "Nm", "Nm")

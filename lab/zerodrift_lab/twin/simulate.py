@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from zerodrift.base.arrays import Array
+import numpy as np
+from numpy.typing import NDArray
+
 from zerodrift_lab.twin.conditions import Conditions, experience
 from zerodrift_lab.twin.disturbances import DISTURBANCES
 from zerodrift_lab.twin.elements import ELEMENT_EFFECTS, feel
@@ -24,6 +26,8 @@ from zerodrift_lab.twin.strength import (
     make_told,
     set_rails,
 )
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

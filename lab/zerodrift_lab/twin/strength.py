@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift_lab.twin.conditions import Conditions
 from zerodrift_lab.twin.disturbances import DISTURBANCES, draw_coefficients
@@ -27,6 +27,8 @@ from zerodrift_lab.twin.sensor import (
     draw_signs,
     draw_stream,
 )
+
+Array = NDArray[np.float64]
 
 DEFAULT_SIZE = 2.0
 """Of a hidden effect that adds to the outputs."""

@@ -488,7 +488,7 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     """
     drift, size = run.drift[:, k], float(np.ptp(run.measured[:, k]))
     steps = np.diff(drift)
-    rows = np.flatnonzero(np.abs(steps) >= 0.5 * size)
+    rows = np.flatnonzero(np.abs(steps) >= 0.5 * size) if size > 0.0 else np.zeros(0, dtype=np.intp)
     # It wraps once from row to row. A coarse converter at rest goes up and down by its own step.
     if rows.size < 2 or np.count_nonzero(np.abs(steps) > 1.5 * size) > STAYS * rows.size:
         return None

@@ -8,9 +8,10 @@ little-endian. The simulated sensor has no compensation yet, so the drift in the
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.sensor import OUTPUTS, TEMPERATURE_LSB, UNITS
 from zerodrift_lab.twin.six_axis.record import Recording
+
+Array = NDArray[np.float64]
 
 FIRST_CODES_ID = 0x0F0
 """Frame of adc_1 to adc_4; the next one holds adc_5, adc_6, thermometer and counter."""

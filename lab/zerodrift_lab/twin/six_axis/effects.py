@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError, nearest
 from zerodrift_lab.twin.conditions import Conditions
 from zerodrift_lab.twin.disturbances import DISTURBANCES, draw_coefficients
@@ -23,6 +23,8 @@ from zerodrift_lab.twin.six_axis.optics import ADC_CODES, SIDE_A
 from zerodrift_lab.twin.six_axis.specimen import Hidden, Sensor
 from zerodrift_lab.twin.six_axis.timeline import Timeline
 from zerodrift_lab.twin.strength import draw_parameters
+
+Array = NDArray[np.float64]
 
 DEFAULT_SIZE = 2.0
 RAILS_PERCENT = (5.0, 7.0)

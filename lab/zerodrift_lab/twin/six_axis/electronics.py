@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.integrate import relax
 from zerodrift_lab.twin.noise import FLICKER_TAUS_S, make_coloured
 from zerodrift_lab.twin.sensor import FULL_SCALE, OUTPUTS, TEMPERATURE_LSB, draw_stream
 from zerodrift_lab.twin.six_axis.optics import ADC_CODES
 
+Array = NDArray[np.float64]
 Codes = NDArray[np.int32]
 
 WHITE_CODES = 1.5

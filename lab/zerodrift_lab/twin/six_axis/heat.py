@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.integrate import solve_network
 from zerodrift_lab.twin.sensor import draw_stream
+
+Array = NDArray[np.float64]
 
 NODES = (
     "sole",

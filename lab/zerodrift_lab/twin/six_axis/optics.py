@@ -7,10 +7,12 @@ their response; even ones (2, 4, 6) look along the circumference from close by, 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.sensor import REFERENCE_TEMPERATURE, draw_stream
 from zerodrift_lab.twin.six_axis.heat import NODE
+
+Array = NDArray[np.float64]
 
 VERTICAL = np.array([True, False, True, False, True, False])
 #: rad, where each coupler sits; side A, which faces the lamp, is at 0.

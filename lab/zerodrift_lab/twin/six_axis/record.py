@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift_lab.twin.logger import INSTRUMENTS, round_as_logged
 from zerodrift_lab.twin.sensor import OUTPUTS
@@ -20,6 +19,8 @@ from zerodrift_lab.twin.six_axis.heat import NODE, warm
 from zerodrift_lab.twin.six_axis.protocol import Protocol
 from zerodrift_lab.twin.six_axis.specimen import Sensor
 from zerodrift_lab.twin.six_axis.timeline import TICK_S, Timeline, draw_timeline
+
+Array = NDArray[np.float64]
 
 TARES = ("none", "start")
 TARE_S = 10.0

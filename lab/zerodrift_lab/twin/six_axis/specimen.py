@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift.base.errors import InputError
 from zerodrift_lab.twin.sensor import FULL_SCALE, draw_stream
 from zerodrift_lab.twin.six_axis.electronics import (
@@ -25,6 +25,8 @@ from zerodrift_lab.twin.six_axis.electronics import (
 from zerodrift_lab.twin.six_axis.heat import ThermalNetwork, draw_network
 from zerodrift_lab.twin.six_axis.optics import Couplers, draw_couplers
 from zerodrift_lab.twin.six_axis.structure import Structure, draw_structure
+
+Array = NDArray[np.float64]
 
 CALIBRATION_ROOM = 23.0
 """degC of the room in which the test weights are hung on."""

@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zerodrift.base.arrays import Array
 from zerodrift_lab.twin.sensor import FULL_SCALE, REFERENCE_TEMPERATURE, draw_stream
 from zerodrift_lab.twin.six_axis.heat import NODE
 from zerodrift_lab.twin.six_axis.optics import AZIMUTH, SIDE_A, VERTICAL
+
+Array = NDArray[np.float64]
 
 #: N/mm and Nmm/rad: 24 um at 600 N, 100 um at 2000 N, 40 um at the couplers at 14 Nm, 24 um there
 #: at 20 Nm.

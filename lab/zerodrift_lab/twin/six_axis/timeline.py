@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zerodrift.base.errors import InputError
 from zerodrift_lab.twin.programmes import Gait, Programme, Ramps, Shaking, Sum
@@ -17,6 +18,8 @@ from zerodrift_lab.twin.six_axis.protocol import Protocol, Statement
 from zerodrift_lab.twin.six_axis.specimen import STILL_AIR
 from zerodrift_lab.twin.six_axis.words import ABSOLUTE_ZERO, HOTTEST_DEGC, Quantity
 from zerodrift_lab.twin.stimuli import SWINGS, Stimulus
+
+Array = NDArray[np.float64]
 
 TICK_S = 0.1
 """Every change begins and ends on a multiple of this, so that the integration meets it exactly."""
