@@ -19,6 +19,20 @@ settings.load_profile("busy")
 PARAM = type(pytest.param())
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let CI run a part of the long tests."""
+    parser.addoption("--share", default="1/1", help="K/N: of every N tests the K-th alone")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is not of the share that was asked for."""
+    place, count = map(int, config.getoption("--share").split("/"))
+    left = [item for i, item in enumerate(items) if i % count != place - 1]
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = items[place - 1 :: count]
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Parametrize by `spread(SHORT, NAMES, CASES)`: all but SHORT cases, spread, are long."""
     for mark in metafunc.definition.iter_markers("spread"):
