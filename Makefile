@@ -85,7 +85,7 @@ flash-image: $(READY) ## ELF and BIN of the example firmware for QEMU's Cortex-M
 test: $(READY) ## what is run before each commit: each module's behaviour, golden bytes, the loop (minutes)
 	$(RUN) -m pytest -q -n 2 -m "not slow and not long" tests
 
-test-long: $(READY) ## what `make test` leaves out, but for the proofs marked slow (SHARE=1/4: a quarter of it)
+test-long: $(READY) ## what `make test` leaves out, but for the proofs marked slow (SHARE=1/6: a sixth of it)
 	$(RUN) -m pytest -q -n 2 --share=$(or $(SHARE),1/1) -m "long and not slow" tests
 
 same-as: $(READY) ## what this tree does held against another tree, byte for byte (OLD=PATH, with its own .venv)
