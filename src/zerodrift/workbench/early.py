@@ -29,7 +29,6 @@ from zerodrift import report
 from zerodrift.base.config import FILE_NAME, Config
 from zerodrift.base.errors import InputError
 from zerodrift.base.records import from_json, to_dict
-from zerodrift.fleet.sensors import load_unit
 from zerodrift.workbench.jobs import SENSOR
 
 # A project's address on this machine: the same port and token each time, so that a tab finds it.
@@ -271,6 +270,8 @@ def read_head(directory: Path, sensor: str | None = None) -> ProjectHead | None:
     if not (directory / FILE_NAME).is_file():
         return None
     try:
+        from zerodrift.fleet.sensors import load_unit  # the first page needs no NumPy
+
         config = load_unit(directory, sensor)
     except InputError:
         return None
