@@ -1,7 +1,6 @@
 """The folders are the way of the data: each imports only from those before it."""
 
 import ast
-import re
 import subprocess
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -92,12 +91,3 @@ def test_the_root_holds_only_what_it_is_to() -> None:
     )
     entries = {name.partition("/")[0] for name in listed.stdout.splitlines() if "/" in name}
     assert entries == ROOMS
-
-
-def test_no_process_is_forked_beside_threads() -> None:
-    """A fork takes along locks whose threads are gone; Polars then waits for ever."""
-    pool = r"ProcessPoolExecutor\((?![^()]*mp_context)"
-    forks = re.compile(rf"multiprocessing\.(?:Pool|Process)\(|{pool}")
-    names = ["git", "ls-files", "*.py"]
-    files = subprocess.run(names, cwd=ROOT, check=True, capture_output=True, text=True)
-    assert not [f for f in files.stdout.split() if forks.search((ROOT / f).read_text("utf-8"))]

@@ -196,7 +196,7 @@ def _print(firmware: Firmware, told: FirmwareSummary, directory: Path, asked: Bl
         ("output", "unit"),
         (
             "uncompensated",
-            *(["physics alone"] if (any(e.physics is not None for e in firmware.errors)) else []),
+            *(["physics alone"] if any(e.physics is not None for e in firmware.errors) else []),
             "float",
             "integer",
             "% FS",

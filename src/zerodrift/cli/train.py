@@ -82,7 +82,7 @@ def _print_table(scores: Scores, console: "Console") -> None:
     console.print(scores.explanation)
 
 
-def _format(values: "Array", k: int, full_scale: float) -> str:
+def _format(values: Array, k: int, full_scale: float) -> str:
     value = float(values[k])
     if not math.isfinite(value):
         return "-"

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.stats import norm
 
 from zerodrift.base.arrays import Array
+from zerodrift.dataset.outliers import NORMAL_OF_MAD
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.data_notes import DataNote
 
@@ -143,7 +144,7 @@ def _bound_means(noise: Array) -> float:
 
 def _spread(x: Array) -> float:
     """Return the standard deviation of the white noise in a signal."""
-    return float(1.4826 * np.median(np.abs(np.diff(x, 2))) / np.sqrt(6.0))
+    return float(NORMAL_OF_MAD * np.median(np.abs(np.diff(x, 2))) / np.sqrt(6.0))
 
 
 def _list_noise(run: Run) -> RunNoise:
@@ -166,7 +167,7 @@ def _list_noise(run: Run) -> RunNoise:
 
 def _cut(noise: Array, largest: float) -> Array | None:
     """Return noise without its tails and its mean; None where it is no more than rounding."""
-    spread = 1.4826 * float(np.median(np.abs(noise - np.median(noise))))
+    spread = NORMAL_OF_MAD * float(np.median(np.abs(noise - np.median(noise))))
     if spread <= 1e-9 * max(largest, 1e-300):
         return None
     cut = np.clip(noise, -CLIPPED * spread, CLIPPED * spread)

@@ -207,9 +207,11 @@ def _list_drift_peaks(run: Run, k: int) -> NDArray[np.intp]:
     drift = run.drift[:, k]
     steps = np.abs(np.diff(drift))
     usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
+    usual = max(usual, float(run.resolution[k]))
+    if (peaks := _list_peaks(drift, HIGH * usual)).size == 0:
+        return peaks
     # A coarse converter at rest still moves by its step, beside a reference that is finer.
-    step = max(float(run.resolution[k]), measure_code(run.measured[:, k]))
-    return _list_peaks(drift, HIGH * max(usual, step))
+    return _list_peaks(drift, HIGH * max(usual, measure_code(run.measured[:, k])))
 
 
 def _share_peaks(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zerodrift.base.arrays import Array, Mask
-from zerodrift.dataset.outliers import find_jumps
+from zerodrift.dataset.outliers import NORMAL_OF_MAD, find_jumps
 from zerodrift.dataset.resolution import measure_code
 from zerodrift.dataset.runs import Run
 from zerodrift.diagnosis.agreement import lag
@@ -60,7 +60,7 @@ def find_breaks(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
         elsewhere = max((s for j, s in enumerate(largest) if j != i), default=0.0)
         found = find_break(run.temperature_degC, elsewhere)
         if found is not None:
-            notes.append(_tell_break(run, found, runs))
+            notes.append(_tell_break(run, found))
         for k, name in enumerate(outputs):
             factor, row = find_gain_change(run.measured[:, k])
             if row and not _follows_load(run, k, row):
@@ -111,6 +111,7 @@ def find_break(x: Array, elsewhere: float = 0.0) -> ColumnBreak | None:
     # Without the row on either side, which an uneven clock mixes.
     before, after = _reach(x[row - SIDE : row - 1], SIDE), _reach(x[row + 1 : row + SIDE], -2)
     usual = float(np.median(steps)) + float(np.std(np.diff(x[row - SIDE : row])))
+    # A coarse thermometer tells neither side to less than its step.
     usual = max(usual, measure_code(x[row:]))
     gap = abs(after - before)
     if gap < BREAK * usual or step < ONCE * gap:
@@ -129,7 +130,7 @@ def _reach(x: Array, at: int) -> float:
     return float(np.polyval(np.polyfit(np.arange(x.size), x, 1), at))
 
 
-def _tell_break(run: Run, found: ColumnBreak, runs: Sequence[Run]) -> DataNote:
+def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
     rows = (found.row, len(run) - 1)
     conversions = {
         "degC before it and degF behind": 1.8 * found.before + 32.0,
@@ -283,7 +284,6 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             for stand in _list_stands(run, x)
         ]
         stands.sort(key=lambda stand: -stand.length)
-        code = min((step for x in columns if (step := measure_code(x)) > 0.0), default=0.0)
         told = 0
         for stand in stands:
             # Stands of one run at one value are one fault.
@@ -297,8 +297,8 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             if stand.length < max(least, LONGER * usual):
                 break
             x = columns[[run is stand.run for run in runs].index(True)]
-            if not thermometer and np.ptp(_expect_stand(stand, k, _is_apart(stand, x))[0]) <= code:
-                continue  # expected to move by less than a coarse converter's code
+            if not thermometer and _is_at_rest(stand, k, columns):
+                continue
             held = _ends_in_jump(stand, x) if thermometer else _is_held(stand, x, k)
             at_limit = stand.value in (x.max(), x.min()) and not held
             rests = thermometer and not _goes_on(stand, x)
@@ -363,10 +363,12 @@ def _weigh_stand(stand: _Stand, x: Array, k: int) -> Array:
     return np.asarray(left / max(usual, 1e-300))
 
 
-def _is_apart(stand: _Stand, x: Array) -> Mask:
-    """Return the rows [n] that are not a stand's."""
-    rows = np.arange(x.size)
-    return (rows < stand.first) | (rows > stand.last)
+def _is_at_rest(stand: _Stand, k: int, columns: Sequence[Array]) -> bool:
+    """Return whether output k, [n] in each run, is expected to move by less than a code."""
+    code = min((step for x in columns if (step := measure_code(x)) > 0.0), default=0.0)
+    rows = np.arange(len(stand.run))
+    left, _ = _expect_stand(stand, k, (rows < stand.first) | (rows > stand.last))
+    return bool(np.ptp(left) <= code)
 
 
 def _expect_stand(stand: _Stand, k: int, others: Mask) -> tuple[Array, float]:
@@ -383,7 +385,7 @@ def _expect_stand(stand: _Stand, k: int, others: Mask) -> tuple[Array, float]:
     drift = run.drift[:, k]
     factors = np.linalg.lstsq(basis[others], drift[others], rcond=None)[0]
     left = drift - basis @ factors
-    usual = 1.4826 * float(np.median(np.abs(left[others] - np.median(left[others]))))
+    usual = NORMAL_OF_MAD * float(np.median(np.abs(left[others] - np.median(left[others]))))
     return left[stand.first : stand.last + 1], usual
 
 
@@ -488,7 +490,7 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     """
     drift, size = run.drift[:, k], float(np.ptp(run.measured[:, k]))
     steps = np.diff(drift)
-    rows = np.flatnonzero(np.abs(steps) >= 0.5 * size) if size > 0.0 else np.zeros(0, dtype=np.intp)
+    rows = np.flatnonzero(np.abs(steps) > 0.5 * size)
     # It wraps once from row to row. A coarse converter at rest goes up and down by its own step.
     if rows.size < 2 or np.count_nonzero(np.abs(steps) > 1.5 * size) > STAYS * rows.size:
         return None
@@ -528,7 +530,7 @@ def list_leaps(run: Run, k: int) -> list[tuple[int, float]]:
     x = run.steady_drift[:, k]
     signals = (run.temperature_degC, run.reference, run.inputs)
     steps = np.diff(x)
-    noise = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
+    noise = NORMAL_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2.0)
     if noise == 0.0:
         moving = np.abs(steps)[steps != 0.0]
         noise = float(np.median(moving)) if moving.size else 0.0
