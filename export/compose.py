@@ -31,7 +31,7 @@ from zerodrift.export.integer_model import (
     convert_codes,
 )
 from zerodrift.export.onnx_reader import ImportedNetwork, read_imported_bytes
-from zerodrift.export.quantize import Quantized, quantize_graph
+from zerodrift.export.quantize import Quantized, bound_features, quantize_graph
 from zerodrift.export.reference import Reference
 from zerodrift.operations.arithmetic import CodeArray
 from zerodrift.operations.backend import GraphOperations, evaluate
@@ -244,7 +244,11 @@ def count_elapsed(model: IntegerModel, run: Run) -> int:
 
 
 def calibrate(model: FloatModel, runs: Sequence[Run]) -> Calibration:
-    """Return the ranges that the training runs showed, with their margins."""
+    """Return the ranges that the training runs showed, with their margins.
+
+    The correction is limited to what the features can give anywhere within these ranges, whatever
+    came before, and to what a network was seen to add to them.
+    """
     limits, ranges = [], []
     names = [output.name for output in model.outputs]
     codes = [encode_quantities(model, run) for run in runs]
@@ -265,22 +269,27 @@ def calibrate(model: FloatModel, runs: Sequence[Run]) -> Calibration:
     if model.taps:
         inputs = [model.compute_network_inputs(run) for run in runs]
         largest = np.max([np.abs(x).max(axis=0) for x in inputs], axis=0)
-    drifts = [model.predict_on_chip(run) for run in runs] + [run.drift for run in runs]
-    low_drift = np.min([d.min(axis=0) for d in drifts], axis=0)
-    high_drift = np.max([d.max(axis=0) for d in drifts], axis=0)
-    margin_drift = RANGE_MARGIN * (high_drift - low_drift)
+    limits_known = tuple(limits)
+    known = measure_ranges(model, runs)
+    lowest, highest = bound_features(model, limits_known, known)
+    if model.network is not None:
+        learnt = [model.predict_network(run) for run in runs]
+        low_learnt = np.min([x.min(axis=0) for x in learnt], axis=0)
+        high_learnt = np.max([x.max(axis=0) for x in learnt], axis=0)
+        margin_learnt = RANGE_MARGIN * (high_learnt - low_learnt)
+        lowest, highest = lowest + low_learnt - margin_learnt, highest + high_learnt + margin_learnt
     return Calibration(
-        code_limits=tuple(limits),
+        code_limits=limits_known,
         feature_max=largest,
-        drift_low=low_drift - margin_drift,
-        drift_high=high_drift + margin_drift,
+        drift_low=lowest,
+        drift_high=highest,
         rate_max=limit_rate(model.channels[0], rate),
         warm_up_steps=0,
         input_ranges=tuple(ranges),
         temperature_range=widen(
             *span, FLAG_MARGIN_K / model.channels[0].lsb, model.channels[0].bits
         ),
-        ranges=measure_ranges(model, runs),
+        ranges=known,
     )
 
 

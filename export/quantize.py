@@ -178,16 +178,7 @@ def quantize_graph(
     Raises:
         CheckError: no safe format exists, or an operation has no integer form; says which.
     """
-    lowering = Lowering(
-        channels=model.channels,
-        sources=model.sources,
-        limits=calibration.code_limits,
-        sample_period_s=model.sample_period_s,
-        variable_step=model.variable_step,
-        outputs=tuple(output.name for output in model.outputs),
-        clock_origin_s=model.clock_origin_s,
-        ranges=calibration.ranges,
-    )
+    lowering = _start_lowering(model, calibration.code_limits, calibration.ranges)
     lowered = [_lower_feature(lowering, model, j) for j in range(len(model.features))]
     signals, coefficients, constant = _gather(lowered, model.coefficients)
     offset = model.offset + constant
@@ -217,6 +208,50 @@ def quantize_graph(
     integer.prove()
     answers = describe_answers(model, lowered, heads)
     return Quantized(integer, lowering.signals, tuple(lowered), answers, scales)
+
+
+def bound_features(
+    model: FloatModel,
+    code_limits: tuple[tuple[int, int], ...],
+    ranges: Mapping[Node, tuple[float, float]],
+) -> tuple[Array, Array]:
+    """Return what offset and features of a model can add up to [K], at least and at most.
+
+    It holds for every history of inputs within their limits: each feature may be at its own end.
+
+    Args:
+        model: the float compensator.
+        code_limits, ranges: as of `Calibration`.
+
+    Raises:
+        CheckError: as `quantize_graph`.
+    """
+    lowering = _start_lowering(model, code_limits, ranges)
+    lowered = [_lower_feature(lowering, model, j) for j in range(len(model.features))]
+    signals, coefficients, constant = _gather(lowered, model.coefficients)
+    low = high = model.offset + constant
+    for signal, row in zip(signals, coefficients, strict=True):
+        interval = lowering.intervals[signal.node][0]
+        ends = np.array([interval.low * row, interval.high * row])
+        low, high = low + ends.min(axis=0), high + ends.max(axis=0)
+    return low, high
+
+
+def _start_lowering(
+    model: FloatModel,
+    code_limits: tuple[tuple[int, int], ...],
+    ranges: Mapping[Node, tuple[float, float]],
+) -> Lowering:
+    return Lowering(
+        channels=model.channels,
+        sources=model.sources,
+        limits=code_limits,
+        sample_period_s=model.sample_period_s,
+        variable_step=model.variable_step,
+        outputs=tuple(output.name for output in model.outputs),
+        clock_origin_s=model.clock_origin_s,
+        ranges=ranges,
+    )
 
 
 def _gather(signals: Sequence[Signal], coefficients: Array) -> tuple[list[Signal], Array, Array]:

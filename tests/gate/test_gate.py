@@ -91,44 +91,6 @@ def test_full_scale_far_too_large_is_refused_and_named(tmp_path: Path) -> None:
     assert "full_scale = 1e+07 bar is too large" in verdict.refused[-1].text
 
 
-LOADS_ALIKE = """sensor = { name = "alike", temperature = "temperature_degC", sample_period_s = 1 }
-outputs.p = { measured = "p", reference = "ref_p", unit = "V", full_scale = 1 }
-outputs.q = { measured = "q", reference = "ref_q", unit = "V", full_scale = 2 }
-logs = { train = ["a.csv", "b.csv", "c.csv"], test = ["d.csv"], tared = false, period_s = 1 }
-effect = [{ kind = "zero_tempco" }, { kind = "crosstalk" }]
-network = { kind = "none" }
-"""
-
-
-def write_loads_alike(folder: Path) -> Path:
-    """Two outputs whose loads are one, but for little, with drifts that part them strongly."""
-    rng = np.random.default_rng(4)
-    for name in "abcd":
-        first = np.repeat(np.linspace(0.1, 0.95, 18), 60)
-        second = 1.95 * first + 0.05 + 2e-4 * np.repeat(rng.standard_normal(18), 60)
-        warm = 22.0 + 2.0 * np.sin(np.arange(first.size) / rng.uniform(100.0, 200.0))
-        loads = np.stack([first, second])
-        drift = np.array([[2.4, -1.23], [4.52, -2.29]]) @ loads + [[0.065], [0.069]]
-        table = [warm, *loads, *(loads + drift + 1e-5 * rng.standard_normal(drift.shape))]
-        header = "temperature_degC,ref_p,ref_q,p,q"
-        file = folder / f"{name}.csv"
-        np.savetxt(file, np.transpose(table), "%.7g", ",", header=header, comments="")
-    (folder / "zerodrift.toml").write_text(LOADS_ALIKE)
-    return folder
-
-
-def test_chip_that_is_caught_in_its_loop_of_loads_is_refused_and_the_loop_named(
-    tmp_path: Path,
-) -> None:
-    """The fed back answers hold each other at their limits, though no run drifts so far."""
-    verdict = ask_gate(write_loads_alike(tmp_path))
-    assert "worse_than_float" in list_kinds(verdict)
-    (split, _) = verdict.chip_error
-    assert split.clamped > 100.0 * split.rounding
-    text = next(s.text for s in verdict.refused if s.kind == "worse_than_float")
-    assert "the float model's answers lie within it" in text and "caught in that loop" in text
-
-
 @pytest.mark.parametrize(("runs", "method"), [(4, "leave one run out"), (1, "blocks of one run")])
 def test_physics_without_test_logs_is_judged_by_runs_left_out(
     runs: int, method: str, tmp_path: Path

@@ -363,6 +363,90 @@ def test_values_for_none_that_come_back_at_once_are_no_counter(clean):
     assert [n.kind for n in find_wraps([apart], clean.outputs)] == ["wrapped"]
 
 
+def test_thermometer_that_stopped_and_one_that_is_cut_short_are_told_apart_by_the_outputs(clean):
+    """Rows are missing where an output jumps too; before the jump the thermometer rests in both."""
+    rows, rng = np.arange(600), np.random.default_rng(3)
+    true = np.interp(rows, [0, 150, 350, 600], [20.0, 45.0, 45.0, 20.0])
+    going_on = np.interp(rows, [0, 150, 350, 600], [20.0, 45.0, 5.0, 20.0])
+    kinds = {}
+    for name, behind in (("stopped", going_on), ("cut", np.where(rows < 350, true, going_on))):
+        felt = np.where(rows < 350, true, behind)
+        noise = 0.02 * NOISE * rng.normal(size=(600, 2))
+        measured = clean.train[3].reference + (behind - 25.0)[:, None] * SLOPE + noise
+        felt = np.round(felt / 0.0625) * 0.0625
+        run = replace(clean.train[3], temperature_degC=felt, measured=measured)
+        runs = [*clean.train[:3], run, *clean.train[4:]]
+        found = review(replace(clean, train=tuple(runs)))
+        kinds[name] = {n.kind for n in found if (n.run, n.column) == ("run_3", "temperature")}
+    assert kinds == {"stopped": {"frozen"}, "cut": {"stitched"}}
+
+
+def test_what_dies_away_since_the_log_began_is_no_thermometer_that_stands_at_its_limit(clean):
+    """A rest at the highest temperature, at which the log begins and the sensor warms up."""
+    rows = np.arange(600)
+    felt = np.round(np.interp(rows, [0, 300, 600], [40.0, 40.0, 15.0]), 1)
+    drift = (felt - 25.0)[:, None] * SLOPE + 8.0 * np.exp(-rows / 60.0)[:, None] * SLOPE
+    noise = 0.02 * NOISE * np.random.default_rng(3).normal(size=(600, 2))
+    measured = clean.train[3].reference + drift + noise
+    train = list(clean.train)
+    train[3] = replace(train[3], temperature_degC=felt, measured=measured)
+    assert find_standing(train, clean.outputs) == []
+
+
+def test_counter_that_wraps_several_times_at_once_is_one(clean):
+    """A load steps by more than the counter's whole range."""
+
+    def wrap(x):
+        return np.mod(x + 3.0 * np.ptp(x) * (np.arange(x.size) // 100 % 2), 0.7 * np.ptp(x))
+
+    def load(x):
+        return x + 3.0 * np.ptp(clean.train[3].measured[:, 0]) * (np.arange(x.size) // 100 % 2)
+
+    run = change_reference(change_output(clean.train[3], wrap), load)
+    (note,) = find_wraps([*clean.train[:3], run], clean.outputs)
+    assert (note.run, note.column, note.kind) == ("run_3", "Fz", "wrapped")
+
+
+def test_spikes_to_either_side_are_no_counter(clean):
+    x = clean.train[3].measured[:, 0]
+    spiked = change_output(clean.train[3], put(x.max() + np.ptp(x), [50, 250, 450]))
+    spiked = change_output(spiked, put(x.min() - np.ptp(x), [150, 350]))
+    assert find_wraps([spiked], clean.outputs) == []
+
+
+def test_level_that_another_part_of_the_run_passes_is_no_limit(clean):
+    part = change_output(clean.train[0], lambda x: np.minimum(x, np.quantile(x, 0.6)))
+    higher = replace(change_output(clean.train[0], lambda x: x + np.ptp(x)), part=1, name="run_0#2")
+    others = [change_output(run, lambda x: 3.0 * x) for run in clean.train[1:4]]
+    assert find_cut_off([part, *others], clean.outputs)
+    assert not find_cut_off([part, higher, *others], clean.outputs)
+
+
+def test_late_reference_shows_under_a_load_that_moves_smoothly(clean):
+    """Its changes are much the same a little later: what counts is how much more is explained."""
+    rows = np.arange(600)
+    smooth = 40.0 * np.sin(rows / 25.0)
+
+    def loaded(run, late):
+        run = change_output(run, lambda x: x - run.reference[:, 0] + smooth)
+        return change_reference(run, lambda x: np.roll(smooth, late))
+
+    train = [loaded(run, 5 if i == 3 else 0) for i, run in enumerate(clean.train)]
+    found = {(n.run, n.column): n.kind for n in review(replace(clean, train=tuple(train)))}
+    assert found == {("run_3", "reference of Fz"): "late_reference"}
+
+
+def test_reference_that_stands_while_a_load_begins_late_is_missing(clean):
+    """The output's noise seems to change its gain where the load begins."""
+    begins = (np.arange(600) > 200) * np.repeat(np.random.default_rng(2).normal(size=60), 10)
+    run = change_output(
+        clean.train[3], lambda x: x - clean.train[3].reference[:, 0] + 99.0 * begins
+    )
+    run = change_reference(run, lambda x: 0.0 * x)
+    found = review(replace(clean, train=(*clean.train[:3], run, *clean.train[4:])))
+    assert {n.kind for n in found if n.run == "run_3"} == {"missing_reference"}
+
+
 def test_parts_of_one_log_are_not_told_apart_by_a_level_that_one_passes(clean):
     run = clean.train[0]
     x = run.measured[:, 0]

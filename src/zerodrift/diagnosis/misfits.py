@@ -211,8 +211,9 @@ APART = 3
 """Rows over which changes are taken: drift is slower, loads are not."""
 FOLLOWS_LOAD = 0.5
 """Correlation of the changes of output and reference from which the one follows the other, ..."""
-BETTER = 0.5
-"""... and share of its square below which it does not."""
+BETTER = 4.0
+"""... and how many times more of the output's changes, over what is left of them, it explains where
+it is shifted: a load that moves smoothly is much the same a little later."""
 SURE = 8.0
 """Standard errors of a correlation: of all shifts of all outputs and runs, chance reaches 6."""
 LATE = 2
@@ -346,7 +347,8 @@ def _tell_late(one: _Followed, others: Sequence[_Followed], name: str) -> DataNo
     if not one.moves or not known or one.best < max(FOLLOWS_LOAD, SURE / np.sqrt(len(one.run))):
         return None
     away = min(abs(one.shift - shift) for shift in known)
-    if away < LATE or one.now**2 > BETTER * one.best**2:
+    shifted, now = (c**2 / max(1.0 - c**2, 1e-12) for c in (one.best, one.now))
+    if away < LATE or shifted < BETTER * now:
         return None
     seconds = one.shift * one.run.sample_period_s
     words = "late" if seconds > 0.0 else "early"

@@ -137,7 +137,7 @@ def _look_at_columns(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNo
     notes: list[DataNote] = []
     checks = (
         *(find_copies, find_unit_changes, find_sentinels, find_wraps, find_standing, find_cut_off),
-        *(find_breaks, find_load_columns, find_reference_faults, find_load_gains, find_leaps),
+        *(find_load_columns, find_reference_faults, find_breaks, find_load_gains, find_leaps),
     )
     for check in checks:
         told = {(note.run, note.column.removeprefix(OF_REFERENCE)) for note in notes}

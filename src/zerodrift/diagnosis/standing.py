@@ -1,7 +1,7 @@
 """Wrong data within one run: what stands still, is cut off, jumps, wraps, or goes on elsewhere."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from zerodrift.base.arrays import Array, Mask
 from zerodrift.dataset.outliers import NORMAL_OF_MAD, find_jumps
 from zerodrift.dataset.resolution import measure_code
 from zerodrift.dataset.runs import Run
-from zerodrift.diagnosis.agreement import lag
+from zerodrift.diagnosis.agreement import LAGS_S, lag
 from zerodrift.diagnosis.data_notes import DataNote
 from zerodrift.physics.rails import FEWEST_VISITS, find_rails
 
@@ -119,10 +119,26 @@ def find_break(x: Array, elsewhere: float = 0.0) -> ColumnBreak | None:
     return ColumnBreak(row, before, after, usual)
 
 
-def _measure_stand(x: Array, row: int) -> int:
-    """Return how many rows before a row hold the value of the last of them."""
-    others = np.flatnonzero(x[:row] != x[row - 1])
-    return row - (int(others[-1]) + 1 if others.size else 0)
+def _find_stand(run: Run, row: int) -> "_Stand":
+    """Return the rows before another one that hold one temperature.
+
+    An uneven clock may lay a row between both sides.
+    """
+    x = run.temperature_degC
+    starts = {}
+    for last in (row - 1, row - 2):
+        others = np.flatnonzero(x[:last] != x[last])
+        starts[last] = int(others[-1]) + 1 if others.size else 0
+    last = max(starts, key=lambda last: last - starts[last])
+    return _Stand(run, starts[last], last, float(x[last]))
+
+
+def _convert_before(stand: "_Stand", factor: float, offset: float) -> "_Stand":
+    """Return a stand with the temperature of its run in another unit up to its last row."""
+    x = stand.run.temperature_degC
+    converted = np.where(np.arange(x.size) <= stand.last, factor * x + offset, x)
+    run = replace(stand.run, temperature_degC=converted)
+    return replace(stand, run=run, value=float(converted[stand.last]))
 
 
 def _reach(x: Array, at: int) -> float:
@@ -133,18 +149,22 @@ def _reach(x: Array, at: int) -> float:
 def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
     rows = (found.row, len(run) - 1)
     conversions = {
-        "degC before it and degF behind": 1.8 * found.before + 32.0,
-        "degF before it and degC behind": (found.before - 32.0) / 1.8,
-        "degC before it and kelvin behind": found.before + 273.15,
-        "kelvin before it and degC behind": found.before - 273.15,
+        "degC before it and degF behind": (1.8, 32.0),
+        "degF before it and degC behind": (1.0 / 1.8, -32.0 / 1.8),
+        "degC before it and kelvin behind": (1.0, 273.15),
+        "kelvin before it and degC behind": (1.0, -273.15),
     }
-    words = min(conversions, key=lambda words: abs(found.after - conversions[words]))
-    missed = max(abs(found.after - conversions[words]) - 2.0 * found.usual, 0.0)
+    differ = {
+        words: abs(found.after - a * found.before - b) for words, (a, b) in conversions.items()
+    }
+    words = min(differ, key=lambda words: differ[words])
+    missed = max(differ[words] - 2.0 * found.usual, 0.0)
     # A break of any size up to this one would meet one of them on either side.
     by_unit = 2.0 * len(conversions) * missed / abs(found.after - found.before)
-    stand = _measure_stand(run.temperature_degC, found.row)
-    before = _Stand(run, found.row - stand, found.row - 1, run.temperature_degC[found.row - 1])
-    stopped = stand >= FEWEST_STANDING and _goes_on(before, run.temperature_degC)
+    stand = _find_stand(run, found.row)
+    stopped = stand.length >= FEWEST_STANDING and _goes_on(stand)
+    if stopped and by_unit <= CHANCE:
+        stopped = _goes_on(_convert_before(stand, *conversions[words]))
     if by_unit <= CHANCE and not stopped:
         text = (
             f"goes from {found.before:.4g} to {found.after:.4g} at row {found.row}, which is "
@@ -154,13 +174,11 @@ def _tell_break(run: Run, found: ColumnBreak) -> DataNote:
         return DataNote(run.group, "temperature", rows, "unit_change", text)
     if stopped:
         text = (
-            f"the thermometer repeats one value {stand} times and then jumps from "
+            f"the thermometer repeats one value {stand.length} times and then jumps from "
             f"{found.before:.4g} to {found.after:.4g} degC: it had stopped reporting. Leave these "
             "rows out ([logs] train takes file@from:to), or record the run again"
         )
-        return DataNote(
-            run.group, "temperature", (found.row - stand, found.row - 1), "frozen", text
-        )
+        return DataNote(run.group, "temperature", (stand.first, stand.last), "frozen", text)
     text = (
         f"goes from {found.before:.4g} to {found.after:.4g} degC between two rows, and nowhere "
         "else: rows are missing there, though the time goes on, or two recordings were put "
@@ -299,10 +317,12 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
             x = columns[[run is stand.run for run in runs].index(True)]
             if not thermometer and _is_at_rest(stand, k, columns):
                 continue
-            held = _ends_in_jump(stand, x) if thermometer else _is_held(stand, x, k)
+            goes_on = thermometer and _goes_on(stand)
+            held = goes_on and _ends_in_jump(stand, x) if thermometer else _is_held(stand, x, k)
             at_limit = stand.value in (x.max(), x.min()) and not held
-            rests = thermometer and not _goes_on(stand, x)
-            if at_limit and (rests or not _is_passed(stand, x, runs, columns)):
+            # A thermometer at its own limit is wrong where the outputs go on; an output that stands
+            # at its own, which no run passes, shows an effect.
+            if at_limit and not (goes_on if thermometer else _is_passed(stand, x, runs, columns)):
                 continue
             told += not at_limit
             if told > max(1, round(FEW_RUNS * len(runs))):
@@ -329,7 +349,8 @@ def _ends_in_jump(stand: _Stand, x: Array) -> bool:
         return False
     steps = np.abs(np.diff(x))
     usual = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
-    return float(steps[stand.last]) > LEAVES * usual
+    # An uneven clock lays a row between both sides.
+    return float(steps[stand.last : stand.last + 2].max()) > LEAVES * usual
 
 
 def _is_held(stand: _Stand, x: Array, k: int) -> bool:
@@ -341,17 +362,24 @@ def _is_held(stand: _Stand, x: Array, k: int) -> bool:
     return bool(np.mean(away > ELSEWHERE) > SHARE_ELSEWHERE)
 
 
-def _goes_on(stand: _Stand, x: Array) -> bool:
+def _goes_on(stand: _Stand) -> bool:
     """Return whether an output drifts away from the ends of a thermometer's stand, to one side.
 
-    It does where the temperature goes on beyond a limit of the thermometer, and rests where an oven
-    holds it. An end of the log is no end of the stand.
+    It does where the temperature goes on, beyond a limit of the thermometer or after it stopped,
+    and rests where an oven holds it, but for what dies away since the log began. Behind a jump the
+    thermometer is not where it was at the end of the stand.
     """
-    met = [stand.first > 0, stand.last + 1 < x.size]
-    for k in range(stand.run.measured.shape[1]):
+    x, run = stand.run.temperature_degC, stand.run
+    since = np.arange(stand.length) * run.sample_period_s
+    dying = np.stack([np.ones(since.size), *(np.exp(-since / tau_s) for tau_s in LAGS_S)], axis=1)
+    met = [stand.first > 0, stand.last + 1 < x.size and not _ends_in_jump(stand, x)]
+    for k in range(run.measured.shape[1]):
         away = _weigh_stand(stand, x, k)
-        ends = np.array([[0, away[:ARM].mean()], [away.size - 1, away[-ARM:].mean()]])[met]
-        away = away - np.interp(np.arange(away.size), *ends.T)
+        if stand.first == 0:
+            away = away - dying @ np.linalg.lstsq(dying, away, rcond=None)[0]
+        else:
+            ends = np.array([[0, away[:ARM].mean()], [away.size - 1, away[-ARM:].mean()]])[met]
+            away = away - np.interp(np.arange(away.size), *ends.T)
         if max(np.mean(away > ELSEWHERE), np.mean(away < -ELSEWHERE)) > SHARE_ELSEWHERE:
             return True
     return False
@@ -424,11 +452,17 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             rows = np.flatnonzero(flags)
             high = x[rows[0]] >= np.median(x)
             level = float(x[rows[0]])
-            others = [other.measured[:, k] for other in runs if other.group != run.group]
             margin = BEYOND_RAIL * float(np.ptp(x))
-            beyond = [
-                (y.max() > level + margin) if high else (y.min() < level - margin) for y in others
-            ]
+
+            def is_passed(
+                y: Array, level: float = level, margin: float = margin, high: bool = high
+            ) -> bool:
+                return bool(y.max() > level + margin if high else y.min() < level - margin)
+
+            own = [other.measured[:, k] for other in runs if other.group == run.group]
+            if any(is_passed(y) for y in own):
+                continue
+            beyond = [is_passed(y.measured[:, k]) for y in runs if y.group != run.group]
             # One run alone that passes it may be the one that is wrong.
             passed = sum(beyond) >= min(2, len(beyond)) > 0
             # A few samples on a short plateau of the load are alike by chance; an output that is
@@ -491,27 +525,30 @@ def _find_wrap(run: Run, name: str, k: int) -> DataNote | None:
     drift, size = run.drift[:, k], float(np.ptp(run.measured[:, k]))
     steps = np.diff(drift)
     rows = np.flatnonzero(np.abs(steps) > 0.5 * size)
-    # It wraps once from row to row. A coarse converter at rest goes up and down by its own step.
-    if rows.size < 2 or np.count_nonzero(np.abs(steps) > 1.5 * size) > STAYS * rows.size:
+    # Spikes and values for none are back at once; a counter stays on either side.
+    if np.count_nonzero(np.abs(np.diff(_smooth(drift))) > 0.5 * size) < 2:
         return None
+    # A reading goes round as often as its load takes it.
+    most = 1.5 * max(size, float(np.ptp(run.reference[:, k])))
+    if np.count_nonzero(np.abs(steps) > most) > STAYS * rows.size:
+        return None
+    # A coarse converter at rest goes up and down by its own step.
     if size < LARGE * float(np.median(np.abs(steps[steps != 0.0]))):
         return None
-    # Spikes and values for none go up and down too, and are back in the next row or two; a counter
-    # stays on either side.
-    lengths = np.diff(np.concatenate([[-1], rows, [steps.size]]))
-    up = np.concatenate([[steps[rows[0]] < 0.0], steps[rows] > 0.0])
-    if min(lengths[up].max(initial=0), lengths[~up].max(initial=0)) <= 2:
-        return None
     # An uneven clock lays a row between both sides, which is none of the counter's.
-    whole = np.unwrap(drift, period=size)
-    level = np.median([whole[:-2], whole[1:-1], whole[2:]], axis=0)
-    if np.count_nonzero(np.abs(np.diff(level)) >= WRAPS * size) > STAYS * rows.size:
+    left = np.abs(np.diff(_smooth(np.unwrap(drift, period=size))))
+    if np.count_nonzero(left >= WRAPS * size) > STAYS * rows.size:
         return None
     text = (
         f"jumps up and down by {size:.6g} with no cause in the logs: a counter that wraps. Unwrap "
         "it before logging, or leave these rows out"
     )
     return DataNote(run.group, name, (int(rows[0]), int(rows[-1])), "wrapped", text)
+
+
+def _smooth(x: Array) -> Array:
+    """Return the medians [n - 2] of three rows each, in which a single row counts for nothing."""
+    return np.asarray(np.median([x[:-2], x[1:-1], x[2:]], axis=0))
 
 
 def _tell_leaps(run: Run, name: str, leaps: Sequence[tuple[int, float]]) -> DataNote:

@@ -544,10 +544,11 @@ def _find_after_effects(
         return list(replays)
     groups = {r.run.group for r in replays if r.is_outside.any()}
     concerned = [r for r in replays if r.run.group in groups]
-    limited = predict_all(
-        lambda run: floating.predict_on_chip(_limit_outside(model, run)),
-        [replayed.run for replayed in concerned],
-    )
+
+    def predict_limited(run: Run) -> Array:
+        return floating.predict_on_chip(_limit_outside(model, run, floating.predict_on_chip(run)))
+
+    limited = predict_all(predict_limited, [replayed.run for replayed in concerned])
     by_name = {r.run.name: answer for r, answer in zip(concerned, limited, strict=True)}
     marked = []
     for replayed in replays:
@@ -559,11 +560,19 @@ def _find_after_effects(
     return marked
 
 
-def _limit_outside(model: IntegerModel, run: Run) -> Run:
-    """Return a run with its temperature and inputs as the chip limits them, where it flags them."""
+def _limit_outside(model: IntegerModel, run: Run, answer: Array) -> Run:
+    """Return a run with temperature, inputs and loads as the chip limits them, where it flags them.
+
+    A load is what was measured less the answer [n, K] of the step before.
+    """
     guards = model.guards
-    inputs, temperature = dict(run.inputs), run.temperature_degC
+    inputs, temperature, measured = dict(run.inputs), run.temperature_degC, run.measured.copy()
+    before = np.concatenate([answer[:1], answer[:-1]])
     for node in model.nodes:
+        if isinstance(node, IntegerLoad):
+            k, lsb = node.output, model.channels[node.channel].lsb
+            load = np.clip(measured[:, k] - before[:, k], lsb * node.low, lsb * node.high)
+            measured[:, k] = load + before[:, k]
         if not isinstance(node, IntegerInput):
             continue
         channel = model.channels[node.channel]
@@ -575,7 +584,7 @@ def _limit_outside(model: IntegerModel, run: Run) -> Run:
             temperature = np.where(beyond, np.clip(temperature, low, high), temperature)
         else:
             inputs[channel.source] = np.clip(run.inputs[channel.source], low, high)
-    return replace(run, temperature_degC=temperature, inputs=inputs)
+    return replace(run, temperature_degC=temperature, inputs=inputs, measured=measured)
 
 
 def find_saturated(model: IntegerModel, run: Run) -> Mask:

@@ -687,7 +687,7 @@ def _judge_all(
 def _name_cause(split: ChipError, k: int, unit: str, replay: ChipReplay) -> str:
     """Return what the largest part of the difference is, and what to do about it."""
     worst = max(("rounding", "clamped", "saturated"), key=lambda part: getattr(split, part))
-    output, drift = replay.model.outputs[k], replay.model.drift
+    output = replay.model.outputs[k]
     if worst == "rounding":
         if 1.0 / output.lsb_per_unit > replay.budget[k]:
             return (
@@ -696,16 +696,10 @@ def _name_cause(split: ChipError, k: int, unit: str, replay: ChipReplay) -> str:
             )
         return f"Rounding costs {split.rounding:.2g} {unit}: use 16-bit weights, or fewer effects."
     if worst == "clamped":
-        low, high = (ends[k] / output.lsb_per_unit for ends in (drift.low, drift.high))
-        answers = np.concatenate([r.floating[r.clamped[:, k], k] for r in replay.runs])
-        cause = "the training runs drift less than these"
-        if replay.model.feeds_back and np.mean((low < answers) & (answers < high)) > 0.5:
-            cause = (
-                "the float model's answers lie within it. The chip takes a load for what it"
-                " measured less its own last answer, and is caught in that loop: the coefficients"
-                " on loads are too large. Leave out an effect of them, or record loads that differ"
-            )
-        return f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): {cause}."
+        return (
+            f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): the network"
+            " answers more here than on the training runs."
+        )
     ends = [
         f"{channel.name} from {find_held(channel)[0]:g} to {find_held(channel)[1]:g} {channel.unit}"
         for i, channel in enumerate(replay.model.channels)
