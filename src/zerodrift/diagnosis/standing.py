@@ -334,13 +334,14 @@ def find_standing(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]
 def _is_passed(stand: _Stand, own: Array, runs: Sequence[Run], columns: Sequence[Array]) -> bool:
     """Return whether other runs pass a limit; where none does it may be the sensor's own."""
     others = [x for run, x in zip(runs, columns, strict=True) if run.group != stand.run.group]
-    margin = BEYOND_RAIL * float(np.ptp(own))
-    high = stand.value == own.max()
-    beyond = [
-        bool(x.max() > stand.value + margin if high else x.min() < stand.value - margin)
-        for x in others
-    ]
+    margin, high = BEYOND_RAIL * float(np.ptp(own)), bool(stand.value == own.max())
+    beyond = [_passes(x, stand.value, margin, high=high) for x in others]
     return not others or sum(beyond) >= min(2, len(others))
+
+
+def _passes(x: Array, level: float, margin: float, *, high: bool) -> bool:
+    """Return whether a column goes beyond a level by a margin, above it or below."""
+    return bool(x.max() > level + margin if high else x.min() < level - margin)
 
 
 def _ends_in_jump(stand: _Stand, x: Array) -> bool:
@@ -366,8 +367,8 @@ def _goes_on(stand: _Stand) -> bool:
     """Return whether an output drifts away from the ends of a thermometer's stand, to one side.
 
     It does where the temperature goes on, beyond a limit of the thermometer or after it stopped,
-    and rests where an oven holds it, but for what dies away since the log began. Behind a jump the
-    thermometer is not where it was at the end of the stand.
+    and rests where an oven holds it, but for what dies away since the log began. An end of the
+    stand that a jump follows is not taken for right.
     """
     x, run = stand.run.temperature_degC, stand.run
     since = np.arange(stand.length) * run.sample_period_s
@@ -453,16 +454,10 @@ def find_cut_off(runs: Sequence[Run], outputs: Sequence[str]) -> list[DataNote]:
             high = x[rows[0]] >= np.median(x)
             level = float(x[rows[0]])
             margin = BEYOND_RAIL * float(np.ptp(x))
-
-            def is_passed(
-                y: Array, level: float = level, margin: float = margin, high: bool = high
-            ) -> bool:
-                return bool(y.max() > level + margin if high else y.min() < level - margin)
-
-            own = [other.measured[:, k] for other in runs if other.group == run.group]
-            if any(is_passed(y) for y in own):
+            passes = [_passes(r.measured[:, k], level, margin, high=high) for r in runs]
+            if any(p for p, r in zip(passes, runs, strict=True) if r.group == run.group):
                 continue
-            beyond = [is_passed(y.measured[:, k]) for y in runs if y.group != run.group]
+            beyond = [p for p, r in zip(passes, runs, strict=True) if r.group != run.group]
             # One run alone that passes it may be the one that is wrong.
             passed = sum(beyond) >= min(2, len(beyond)) > 0
             # A few samples on a short plateau of the load are alike by chance; an output that is

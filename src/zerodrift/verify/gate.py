@@ -698,7 +698,7 @@ def _name_cause(split: ChipError, k: int, unit: str, replay: ChipReplay) -> str:
     if worst == "clamped":
         return (
             f"The correction stands at its limit ({split.clamped:.2g} {unit} of it): the network"
-            " answers more here than on the training runs."
+            " answers more here than on the training runs. Train on runs like these, too."
         )
     ends = [
         f"{channel.name} from {find_held(channel)[0]:g} to {find_held(channel)[1]:g} {channel.unit}"
